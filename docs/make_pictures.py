@@ -35,7 +35,7 @@ VIEWS = {
     "difference": ("egg", "--against", HULL, "--size", "120x90mm", "--camera", "300,15"),
 }
 # Likewise of each movie.
-MOVIES = {"growth": ("few", "--movie-of", "growth")}
+MOVIES = {"growth": ("few",)}
 
 
 def scripts() -> dict[str, Path]:

@@ -22,22 +22,35 @@ TYPE_CHECKING = False  # that of `typing`, whose import would be the longest par
 if TYPE_CHECKING:
     from typing import Any
 
-    from scan3d.batches import Batch, batch
-    from scan3d.calibration.report import Calibration, read_rig, write_rig
-    from scan3d.cloud import Cloud
-    from scan3d.comparison import Comparison
-    from scan3d.errors import InputError
-    from scan3d.files.meshes import load_mesh
-    from scan3d.files.recordings import read_recording, write_recording
-    from scan3d.files.shapes import Shape
-    from scan3d.laboratory.importing import import_table
-    from scan3d.pictures.notebook import plot
-    from scan3d.planning import Plan
-    from scan3d.recording import Recording
-    from scan3d.results import Result, open, scan
-    from scan3d.rods import Gravity, Rod
-    from scan3d.session import Session
-    from scan3d.steps import calibrate, compare, load, reconstruct, save, simulate, surface
+    from scan3d.batches import Batch as Batch
+    from scan3d.batches import batch as batch
+    from scan3d.calibration.report import Calibration as Calibration
+    from scan3d.calibration.report import read_rig as read_rig
+    from scan3d.calibration.report import write_rig as write_rig
+    from scan3d.cloud import Cloud as Cloud
+    from scan3d.comparison import Comparison as Comparison
+    from scan3d.errors import InputError as InputError
+    from scan3d.files.meshes import load_mesh as load_mesh
+    from scan3d.files.recordings import read_recording as read_recording
+    from scan3d.files.recordings import write_recording as write_recording
+    from scan3d.files.shapes import Shape as Shape
+    from scan3d.laboratory.importing import import_table as import_table
+    from scan3d.pictures.notebook import plot as plot
+    from scan3d.planning import Plan as Plan
+    from scan3d.recording import Recording as Recording
+    from scan3d.results import Result as Result
+    from scan3d.results import open as open
+    from scan3d.results import scan as scan
+    from scan3d.rods import Gravity as Gravity
+    from scan3d.rods import Rod as Rod
+    from scan3d.session import Session as Session
+    from scan3d.steps import calibrate as calibrate
+    from scan3d.steps import compare as compare
+    from scan3d.steps import load as load
+    from scan3d.steps import reconstruct as reconstruct
+    from scan3d.steps import save as save
+    from scan3d.steps import simulate as simulate
+    from scan3d.steps import surface as surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
@@ -72,37 +85,7 @@ _HOME = {
     "write_rig": "calibration.report",
 }
 
-__all__ = [
-    "Batch",
-    "Calibration",
-    "Cloud",
-    "Comparison",
-    "Gravity",
-    "InputError",
-    "Plan",
-    "Recording",
-    "Result",
-    "Rod",
-    "Session",
-    "Shape",
-    "batch",
-    "calibrate",
-    "compare",
-    "import_table",
-    "load",
-    "load_mesh",
-    "open",
-    "plot",
-    "read_recording",
-    "read_rig",
-    "reconstruct",
-    "save",
-    "scan",
-    "simulate",
-    "surface",
-    "write_recording",
-    "write_rig",
-]
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:

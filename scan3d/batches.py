@@ -27,8 +27,8 @@ from urllib.parse import quote
 from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
-from scan3d.files.reading import read_section, read_small
-from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, sha256, unchanged
+from scan3d.files.reading import read_section
+from scan3d.files.whole import BATCH, REPORT, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.numbers import length, share
 from scan3d.processes import undone_if_ended
 from scan3d.results import Result
@@ -120,6 +120,7 @@ def batch(
     executor: Executor | None = None,
     *,
     grid: str | os.PathLike[str] | Mapping[str, Any] | None = None,
+    config: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     progress: Callable[[BatchProgress], None] = lambda _: None,
     notify: Callable[[str], None] = lambda _: None,
@@ -128,8 +129,7 @@ def batch(
     """Scan many meshes, each with one setting or with every combination of a grid, and summarise the results in a folder.
 
     paths
-        mesh files, folders for the mesh files in them, patterns such as ``parts/**/*.stl``, and lists ``@FILE`` with one of
-        these in each line.
+        mesh files, folders for the mesh files in them, and patterns such as ``parts/**/*.stl``.
     out
         folder for the summary, and for a folder of results for each run, as ``scan3d scan`` writes them.
     executor
@@ -137,6 +137,8 @@ def batch(
         the executor of a Dask client; None: the runs are made in this process, one after the other.
     grid
         lists of values by setting, or the path of a TOML file with them, as `combinations` describes.
+    config
+        path of a TOML file of settings, over which those that are given take precedence.
     overwrite
         whether files in the folder that the program did not write may be replaced.
     progress
@@ -151,42 +153,13 @@ def batch(
     Raises InputError for meshes, settings and grids that can't be used, if a setting is given twice, and if the folder can't be
     written into or holds files that must not be replaced.
     """
-    is_file = isinstance(grid, (str, os.PathLike))
-    varied = [{}] if grid is None else read_grid(grid) if isinstance(grid, (str, os.PathLike)) else combinations(grid)
-    named = str(grid) if is_file else "the grid"
-    chosen = varied_settings(settings, varied, source="scan3d.batch", grid_source=named)
-    return perform_batch(
-        [paths] if isinstance(paths, (str, os.PathLike)) else list(paths),
-        out,
-        list(zip(varied, chosen, strict=True)),
-        executor,
-        inputs={"grid": Path(str(grid))} if is_file else {},
-        overwrite=overwrite,
-        progress=progress,
-        notify=notify,
-    )
-
-
-def perform_batch(
-    given: Iterable[str | os.PathLike[str]],
-    out: str | os.PathLike[str],
-    choices: Sequence[tuple[Mapping[str, Any], Settings]],
-    executor: Executor | None,
-    *,
-    inputs: Inputs,
-    overwrite: bool,
-    progress: Callable[[BatchProgress], None],
-    notify: Callable[[str], None],
-) -> Batch:
-    """The work of `batch` and of the command.
-
-    choices
-        for each combination of the grid what it varies, by name, and all settings.
-    inputs
-        files that the batch reads besides the meshes, which are not overwritten.
-    """
+    file = Path(grid) if isinstance(grid, (str, os.PathLike)) else None
+    varied = [{}] if grid is None else combinations(grid) if isinstance(grid, Mapping) else read_grid(grid)
+    chosen = varied_settings(settings, varied, config, source="scan3d.batch", grid_source=str(file or "the grid"))
+    given = [paths] if isinstance(paths, (str, os.PathLike)) else paths
     folder = Path(out)
-    runs = _runs(mesh_files(given), choices, folder, overwrite)
+    runs = _runs(mesh_files(given), list(zip(varied, chosen, strict=True)), folder, overwrite)
+    inputs = {"grid": file, "file of settings": config}
     with replacing(folder, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
         missing = [run for run in runs if not run.is_done()]
         failures: dict[str, Outcome] = {}
@@ -309,7 +282,6 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
 
 
 def _appears(path: Path) -> bool:
-    """Whether a file is there, or appears soon."""
     end = time.monotonic() + _PATIENCE_S
     while not path.exists():
         if time.monotonic() > end:
@@ -374,48 +346,27 @@ def mesh_files(given: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """The mesh files that are meant, in the order in which they are given, each once.
 
     given
-        files, which need not exist; folders, for the mesh files in them; patterns such as ``parts/**/*.stl``; and lists
-        ``@FILE``, text files with one of the former in each line, relative to the folder of the list.  In a list, empty lines
-        and those that begin with ``#`` are left out.  Files that a scan has written are left out of folders and patterns.
+        files, which need not exist; folders, for the mesh files in them; and patterns such as ``parts/**/*.stl``.  Files that
+        a scan has written are left out of folders and patterns.
 
-    Raises InputError for lists that can't be read, for folders and patterns without a mesh, and if nothing is given.
+    Raises InputError for folders and patterns without a mesh, and if nothing is given.
     """
     found: dict[str, Path] = {}
     for entry in given:
-        name = os.fspath(entry)
-        is_list = isinstance(entry, str) and name.startswith("@") and not Path(name).exists()
-        for line in _lines(Path(name[1:])) if is_list else [name]:
-            for path in _meant(line):
-                found.setdefault(os.path.abspath(path), path)
+        for path in _meant(os.fspath(entry)):
+            found.setdefault(os.path.abspath(path), path)
     if not found:
-        raise InputError("there is no mesh to scan; name mesh files, folders, patterns such as 'parts/*.stl', or @LIST")
+        raise InputError("there is no mesh to scan; name mesh files, folders, or patterns such as 'parts/*.stl'")
     return list(found.values())
 
 
-def _lines(path: Path) -> list[str]:
-    """The entries of a list, relative to the current folder."""
-    try:
-        lines = [line.strip() for line in read_small(path).splitlines()]
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
-        raise InputError(
-            f"can't read the list {path}: {reason}; expected a text file with a mesh in each line"
-        ) from None
-    entries = [str(path.parent / line) for line in lines if line and not line.startswith("#")]
-    if not entries:
-        raise InputError(f"the list {path} is empty; expected a mesh in each line")
-    return entries
-
-
 def _meant(name: str) -> list[Path]:
-    """The files that an entry means."""
     path = Path(name)
     is_pattern = glob.has_magic(name) and not path.exists()
     if not path.is_dir() and not is_pattern:
         return [path]
-    files = map(Path, _matches(name)) if is_pattern else path.iterdir()
+    # pathlib follows no links in ``**``, which may lead back to a folder that they stand in
+    files = Path(path.anchor).glob(str(path.relative_to(path.anchor))) if is_pattern else path.iterdir()
     meshes = [file for file in sorted(files) if file.suffix[1:].lower() in FORMATS and file.is_file()]
     written = {folder: earlier_files(folder) for folder in {file.parent for file in meshes}}
     meshes = [file for file in meshes if file.name not in written[file.parent]]
@@ -425,28 +376,8 @@ def _meant(name: str) -> list[Path]:
     return meshes
 
 
-def _matches(pattern: str) -> list[str]:
-    """What a pattern finds.  ``**`` enters each folder once: a link may lead back to a folder that it stands in."""
-    if pattern.endswith("/**"):
-        pattern += "/*"
-    recursive = re.fullmatch(r"((?:.*?/)?)\*\*/(.*)", pattern, re.DOTALL)
-    if not recursive:
-        return glob.glob(pattern)
-    before, after = recursive.groups()
-    found: list[str] = []
-    entered: set[str] = set()
-    folders = glob.glob(before) if before else [""]
-    for folder in folders:  # the nearest first, which it also grows by
-        place = os.path.realpath(folder)
-        if place not in entered:
-            entered.add(place)
-            found += _matches(glob.escape(folder) + after)
-            folders += sorted(glob.glob(glob.escape(folder) + "*/"))
-    return found
-
-
 def read_grid(path: str | os.PathLike[str]) -> Grid:
-    """The combinations of a TOML file; see `combinations`.  Raises InputError for a file that can't be read, and as there."""
+    """The combinations of a TOML file.  Raises InputError for a file that can't be read, and as `combinations`."""
     return combinations(read_section(path, "grid", name=str(path)).data, str(path))
 
 
@@ -490,18 +421,12 @@ def _values(source: str, name: str, value: Any) -> list[Any]:
 
 
 def body_names(paths: Sequence[Path]) -> list[str]:
-    """A name for each mesh file: its stem, with its ending or its folders where that tells it from others of that stem."""
+    """A name for each mesh file: its stem, with its ending or its folder where that tells it from others of that stem."""
     names = []
     for path in paths:
         alike = [other for other in paths if other.stem.casefold() == path.stem.casefold()]
-        folders = {str(other.absolute().parent) for other in alike}
-        parts = [path.stem]
-        if len(folders) > 1:
-            try:
-                top = os.path.commonpath(folders)
-            except ValueError:  # on two drives of Windows
-                top = ""
-            parts = [*Path(str(path.absolute().parent)[len(top) :]).parts, path.stem]
+        is_elsewhere = any(other.absolute().parent != path.absolute().parent for other in alike)
+        parts = [path.absolute().parent.name, path.stem] if is_elsewhere else [path.stem]
         if sum(other.parent == path.parent for other in alike) > 1:
             parts.append(path.suffix[1:])
         names.append(_allowed("-".join(parts)))
@@ -541,7 +466,6 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def _row(run: Run, failure: Outcome | None) -> Row:
-    """The row of a run, of what its folder holds, or of its failure."""
     row: Row = dict.fromkeys(COLUMNS)
     row |= {"run": run.name, "mesh": run.mesh, "mesh_sha256": run.sha256 or "", **dataclasses.asdict(run.settings)}
     if failure is None:
@@ -553,7 +477,6 @@ def _row(run: Run, failure: Outcome | None) -> Row:
 
 
 def _figures(report: Mapping[str, Any]) -> Row:
-    """The columns that a report fills."""
 
     def value(section: str, name: str) -> Any:
         return (report.get(section) or {}).get(name)
@@ -625,7 +548,6 @@ img {{ width: 100%; }}
 
 
 def _page(folder: Path, rows: Sequence[Row], ranks: Mapping[str, str | None]) -> bytes:
-    """The page (HTML, UTF-8) of all runs with their pictures, which lie in the folders of the runs."""
     failed = sum(row["status"] == FAILED for row in rows)
     varied = [field.name for field in dataclasses.fields(Settings) if len({row[field.name] for row in rows}) > 1]
     marks = {run: mark for mark, run in reversed([*ranks.items()]) if run is not None}

@@ -30,15 +30,9 @@ CAMERAS: tuple[str, ...] = get_args(NamedCamera)
 Color = Literal["phase", "force", "friction", "error", "bending"]
 COLORS: tuple[str, ...] = get_args(Color)
 """The quantities by which contacts can be coloured."""
-Movie = Literal["sweep", "growth"]
-MOVIES: tuple[str, ...] = get_args(Movie)
-"""What a movie can show; the first is the default."""
 Export = Literal["surface", "cloud"]
 EXPORTS: tuple[str, ...] = get_args(Export)
 """What can be exported of a scan; the first is the default where a file can contain either."""
-ScalarNames = Literal["meshlab", "cloudcompare"]
-SCALAR_NAMES: tuple[str, ...] = get_args(ScalarNames)
-"""Programs by whose names the scalars of an exported PLY can be called."""
 Tare = Literal["auto", "constant", "linear", "sweep"]
 TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""

@@ -10,16 +10,14 @@ import numpy as np
 from scan3d.arrays import SOME, Array, Index
 from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare, two_sided_distance
+from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
 from scan3d.geometry.triangles import areas, dot, halve
-from scan3d.numbers import angle, number, share
-from scan3d.shown import Rows, Shown, described
+from scan3d.numbers import angle, length, number, point, share
+from scan3d.shown import Described, Rows, described
 
 if TYPE_CHECKING:
     import trimesh
 
-UNKNOWN_UNIT = "units of the meshes"
-"""What the unit of a comparison's lengths is called."""
 # Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).
 AVERAGE_GAP = 0.05
 # Faces that are tried for each point of an average.
@@ -31,7 +29,7 @@ F_SCORE_RADIUS = 0.01
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(Shown):
+class Comparison(Described):
     """Distances between a surface and a mesh, in the meshes' own unit unless said otherwise."""
 
     hausdorff: float  #: two-sided; attained at `worst_point`, so never larger than the true distance
@@ -57,33 +55,36 @@ class Comparison(Shown):
     normal_p95_deg: float
     volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
 
-    def summary(self) -> Rows:
-        """The distances, also as parts of the mesh's diagonal."""
+    def summary(self, unit: str = "") -> Rows:
+        """The distances, also as parts of the mesh's diagonal; in a unit, if that of the meshes is given."""
 
-        def length(value: float) -> str:
-            return f"{number(value, 4)} ({self.part_of_diagonal(value)})"
+        def size(value: float, digits: int = 4, *, up: bool = False) -> str:
+            return length(value, unit, digits=digits, up=up) if unit else number(value, digits)
 
-        certainty = "exact" if self.exact else f"certified between {number(self.lower, 5)} and {number(self.upper, 5)}"
-        averages = f"{length(self.mean)}, RMS {length(self.rms)}, 95 % closer than {length(self.p95)}"
-        place = "({:.4g}, {:.4g}, {:.4g})".format(*(self.worst_point + 0.0))
+        def both(value: float) -> str:
+            return f"{size(value)} ({share(value / self.diagonal)})"
+
+        certainty = (
+            "exact" if self.exact else f"certified between {size(self.lower, 5)} and {size(self.upper, 5, up=True)}"
+        )
+        averages = f"{both(self.mean)}, RMS {both(self.rms)}, 95 % closer than {both(self.p95)}"
+        place = point(self.worst_point, unit) if unit else "({:.4g}, {:.4g}, {:.4g})".format(*(self.worst_point + 0.0))
         error = self.volume_error
         return [
-            ("Hausdorff distance", f"{length(self.hausdorff)}, {certainty}"),
-            ("surface to mesh", length(self.surface_to_mesh)),
-            ("mesh to surface", length(self.mesh_to_surface)),
+            ("Hausdorff distance", f"{both(self.hausdorff)}, {certainty}"),
+            ("surface to mesh", both(self.surface_to_mesh)),
+            ("mesh to surface", both(self.mesh_to_surface)),
             ("worst at", f"{place}, on the {self.worst_on}"),
             ("mean", averages),
-            ("Chamfer distance", f"{length(self.chamfer)}, F-score {self.f_score:.4f} at 1 % of the diagonal"),
+            ("Chamfer distance", f"{size(self.chamfer)}, F-score {self.f_score:.4f} at 1 % of the diagonal"),
             ("normals differ by", f"{angle(self.normal_median_deg)} (median), {angle(self.normal_p95_deg)} (95 %)"),
             ("volume error", share(error) if np.isfinite(error) else "unknown: open"),
         ]
 
-    def part_of_diagonal(self, value: float) -> str:
-        """A distance as a part of the mesh's diagonal, in per cent or parts per million."""
-        return share(value / self.diagonal)
-
     def __repr__(self) -> str:
-        return described(f"Comparison (lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal)", self.summary())
+        return described(
+            "Comparison (lengths in units of the meshes; in brackets, of the mesh's diagonal)", self.summary()
+        )
 
 
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
@@ -97,19 +98,10 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     return _compared(*_prepared(surface, mesh))
 
 
-def compare_all(
-    surface: trimesh.Trimesh, inner: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh
-) -> tuple[Comparison, float, Array]:
-    """`compare` of a surface with a mesh, the Hausdorff distance of a second surface of about their size from the mesh, which
-    takes a fraction of the time, and the distances (n,) of points (n, 3) from the mesh.
-
-    The mesh, which may have millions of faces, is prepared once for all.
-    """
-    bounding_box(inner, "surface")
+def compare_with_points(surface: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh) -> tuple[Comparison, Array]:
+    """`compare` of a surface with a mesh, and the distances (n,) of points (n, 3) from the mesh, which is prepared once."""
     prepared = bodies, centre, scale, _ = _prepared(surface, mesh)
-    comparison = _compared(*prepared)
-    inner_distance = _distance((prepare(inner, centre, scale), bodies[1]))
-    return comparison, inner_distance * scale, bodies[1].search.nearest((points - centre) / scale)[0] * scale
+    return _compared(*prepared), bodies[1].search.nearest((points - centre) / scale)[0] * scale
 
 
 def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: float) -> Comparison:
@@ -152,11 +144,6 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
         normal_p95_deg=_quantile(np.concatenate(angles), weight, 0.95),
         volume_error=bodies[0].volume / bodies[1].volume - 1 if bodies[1].volume else np.nan,
     )
-
-
-def _distance(bodies: tuple[Body, Body]) -> float:
-    """The Hausdorff distance of two bodies at their common size."""
-    return two_sided_distance((bodies, bodies[::-1]), _are_convex(bodies))
 
 
 def _prepared(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[tuple[Body, Body], Array, float, float]:

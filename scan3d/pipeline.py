@@ -21,7 +21,7 @@ from scan3d.bounds import certificate, enclosure, unbounded, withdrawn
 from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
-from scan3d.comparison import compare, compare_all
+from scan3d.comparison import compare, compare_with_points
 from scan3d.errors import InputError
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.recordings import recording_files
@@ -249,10 +249,7 @@ def analyse(
 
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
-    """An analysis with all that is compared with the true body."""
-    comparison, hull_error, contact_error = compare_all(
-        analysis.surface, analysis.bounds.inner, analysis.cloud.points, truth
-    )
+    comparison, contact_error = compare_with_points(analysis.surface, analysis.cloud.points, truth)
     itself = mesh_itself(truth)
     return replace(
         analysis,
@@ -261,7 +258,6 @@ def _compared(analysis: Analysis, truth: Any) -> Analysis:
         mesh_comparison=None if itself is None else compare(analysis.surface, itself),
         contact_error=contact_error,
         comparison=comparison,
-        hull_error=hull_error,
     )
 
 
@@ -283,6 +279,7 @@ def write(
     Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
+        drawing.begin(to_scene(analysis), _JOBS)
         return _put(analysis, result, settings, Clock(analysis.seconds), drawing, notify)
 
 
@@ -294,7 +291,6 @@ def _put(
     drawing: Drawing,
     notify: Notify,
 ) -> dict[str, Any]:
-    """Let all files of an analysis appear in a folder; its report."""
     friction = settings.get("friction")
     with clock("write"):
         _put_tables(analysis, result)
@@ -305,7 +301,6 @@ def _put(
 
 
 def _put_tables(analysis: Analysis, result: Replacement) -> None:
-    """Add the recording, unless it is the folder's own, the cloud and the surface to a result."""
     cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
     if not result.reads_recording:
         for name, data in recording_files(analysis.recording, RECORDING[0]).items():
@@ -322,9 +317,6 @@ _JOBS = [(".png", {"view": name}) for name in PICTURES]
 
 
 def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: Notify) -> None:
-    """Add the page and, where they can be rendered, the pictures to a result."""
-    if not drawing.has_begun:  # while the page is made
-        drawing.begin(scene, _JOBS)
     result.put("view.html", page.page(scene))
     try:
         pictures = drawing.finish()

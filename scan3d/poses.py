@@ -19,7 +19,6 @@ from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations
 from scan3d.rods import Rod
-from scan3d.shown import Described, Rows
 
 SPEED_M_S = 0.02
 """Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
@@ -40,7 +39,7 @@ MOVES = tuple(move.name.lower() for move in Move)
 
 
 @dataclass(frozen=True, repr=False)
-class PoseList(Described):
+class PoseList:
     """Poses (n) of the clamp, in the order in which they are passed; straight lines and steady turns between them.
 
     Raises InputError for columns of different lengths, numbers that aren't finite, quaternions without unit length, and sweeps
@@ -106,21 +105,8 @@ class PoseList(Described):
     def __len__(self) -> int:
         return len(self.sweep)
 
-    def summary(self) -> Rows:
-        """Counts, the rod, and where the clamp goes in how much time."""
-        low, high = (
-            "({:.4g}, {:.4g}, {:.4g}) m".format(*(end(self.position_m, axis=0) + 0.0)) for end in (np.min, np.max)
-        )
-        return [
-            (
-                "poses",
-                f"{len(self)} in {len(self.sweeps())} sweeps, {self.times()[-1]:.4g} s at {self.speed_m_s:g} m/s",
-            ),
-            ("model", self.model),
-            ("rod", "not known" if self.rod is None else repr(self.rod)),
-            ("clamp from", low),
-            ("to", high),
-        ]
+    def __repr__(self) -> str:
+        return f"PoseList of {len(self)} poses in {len(self.sweeps())} sweeps, {self.times()[-1]:.4g} s"
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""

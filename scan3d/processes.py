@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from scan3d.errors import InputError
 
-# The folder from which this program is imported.  It may be the current one, as in a checkout.
+# The folder from which this program is imported.
 _HOME = Path(__file__).resolve().parents[1]
 ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """The numbers of threads that OpenBLAS, MKL and Accelerate read when they start."""
@@ -31,25 +31,11 @@ _SIGNALS = {
 def python(code: str, *arguments: str) -> list[str]:
     """The command line of a Python that runs the code, with its `sys.argv[1:]`.
 
-    The child is isolated (``-I``), so that a file such as ``numpy.py`` in the current folder is not executed.  It gets the
-    module path of this process, without the current folder: an editable installation and PYTHONPATH are still found.
+    The child does not look for modules in the current folder (``-P``), where a file such as ``numpy.py`` would be executed; it
+    finds this program also in a checkout that is not installed.
     """
-    flags = ["-I", "-B"] if sys.dont_write_bytecode else ["-I"]
-    return [sys.executable, *flags, "-c", f"import sys; sys.path[:] = {import_path()!r}\n{code}", *arguments]
-
-
-def import_path() -> list[str]:
-    """The folders in which modules are looked for, without the current one unless the program lies in it."""
-    return [entry for entry in sys.path if isinstance(entry, str) and not _is_foreign(entry)]
-
-
-def _is_foreign(entry: str) -> bool:
-    """Whether an entry of the module path is the current folder, and the program does not lie in it."""
-    try:
-        here = Path.cwd()
-        return here != _HOME and (not entry or Path(entry).resolve() == here)
-    except OSError:  # the current folder has been deleted
-        return not entry
+    flags = ["-P", "-B"] if sys.dont_write_bytecode else ["-P"]
+    return [sys.executable, *flags, "-c", f"import sys; sys.path.append({str(_HOME)!r})\n{code}", *arguments]
 
 
 def compute_algebra_in_one_thread() -> None:

@@ -64,7 +64,6 @@ SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 
 
 def _plain(name: str, values: Any) -> NDArray[Any]:
-    """The values of a column as an array of real numbers."""
     if np.ma.isMaskedArray(values):
         raise InputError(
             f"recording: {name} is a masked array, whose masked values would count as measured; leave those rows out and "
@@ -287,7 +286,6 @@ class Recording(Shown):
 
 
 def _directions(normals: Array) -> str:
-    """The distinct normals, the first few if there are many."""
     distinct = np.unique(np.round(normals, 3) + 0.0, axis=0)
     rest = f" and {len(distinct) - _MOST_NORMALS} more" if len(distinct) > _MOST_NORMALS else ""
     return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:_MOST_NORMALS]) + rest

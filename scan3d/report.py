@@ -19,10 +19,10 @@ import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
-from scan3d.cloud import Cloud, LeftOut
+from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.numbers import angle, length, lengths, number, share, volume
+from scan3d.numbers import length, lengths, number, share, volume
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows
@@ -35,13 +35,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 """Number of the format of ``report.json``."""
-# What the parts of an enclosure's bound are called in the error budget.
-_CAUSES = {
-    "slices": "between_slices",
-    "contacts": "between_contacts",
-    "caps": "past_end_slices",
-    "rod": "thickness_of_rod",
-}
 HIDDEN = 1e-8
 """Distance of an exact contact from the truth, in rod lengths, from which on a second contact is to blame."""
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
@@ -65,8 +58,6 @@ class Analysis:
     """Comparison of the surface with the truth."""
     mesh_comparison: Comparison | None = None
     """Comparison of the surface with the mesh itself, where the truth is the convex hull of a mesh that is not convex."""
-    hull_error: float | None = None
-    """Hausdorff distance of the contacts' convex hull to the truth."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Time spent on each step."""
     carved: Carved | None = None
@@ -123,9 +114,15 @@ def report(
         "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
-        "noise": _noise(analysis),
+        "noise": {
+            "force_N": recording.noise.force_N,
+            "moment_Nm": recording.noise.moment_Nm,
+            "stated_force_N": recording.noise_force_N,
+            "stated_moment_Nm": recording.noise_moment_Nm,
+            "stated_pose_m": recording.noise_pose_m,
+            "contact_median": cloud.noise,
+        },
         **_calibration(recording, cloud),
-        "error_budget": _budget(analysis),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
         | ({} if analysis.carved is None else analysis.carved.coverage),
         "surface": {
@@ -136,7 +133,9 @@ def report(
             "volume": float(surface.volume),
             "volume_error": None if comparison is None else comparison.volume_error,
         },
-        "normals": _normals(comparison),
+        "normals": None
+        if comparison is None
+        else {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg},
         "timings_s": {name: round(seconds, 3) for name, seconds in (timings_s or {}).items()},
         "files": [],
     }
@@ -232,6 +231,7 @@ def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
 def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
+    left = cloud.left_out
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     assumed = premises(analysis.recording, cloud, {warning.code for warning in analysis.warnings})
     if (reached := analysis.reach) is not None:
@@ -249,55 +249,14 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "premise": "; ".join(premise.assumed for premise in assumed),
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
-        "left_out": None if cloud.left_out is None else _left_out(cloud.left_out),
+        "left_out": left
+        and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
         "table": cloud.table,
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": _grown(analysis.recording),
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _systematic_off(cloud, bounds),
         "volume": list(bounds.volume),
-    }
-
-
-def _left_out(left: LeftOut) -> dict[str, float]:
-    """The rows that contradict the rest, and what the bounds allow for in the others."""
-    return {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor}
-
-
-def _noise(analysis: Analysis) -> dict[str, float]:
-    """Standard deviations of force and moment: those that the recording states, and those that count, with its digits."""
-    recording, known = analysis.recording, analysis.recording.noise
-    return {
-        "force_N": known.force_N,
-        "moment_Nm": known.moment_Nm,
-        "stated_force_N": recording.noise_force_N,
-        "stated_moment_Nm": recording.noise_moment_Nm,
-        "stated_pose_m": recording.noise_pose_m,
-        "contact_median": analysis.cloud.noise,
-    }
-
-
-def _budget(analysis: Analysis) -> dict[str, Any]:
-    """The error of each step: its certified upper bound, and its actual value where the truth is known."""
-    bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
-    parts, systematic = bounds.parts(), _systematic_off(analysis.cloud, bounds)
-    causes = [_CAUSES[name] for name in parts]
-
-    def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
-        return {"at_most": guaranteed, "is": actual}
-
-    return {
-        "unit": analysis.cloud.unit,
-        "contacts_off": step(
-            _noise_off(analysis.cloud, bounds) + sum(systematic.values()),
-            None if contact_error is None else float(contact_error.max()),
-        ),
-        **{name: step(size, None) for name, size in systematic.items()},
-        **{_CAUSES[name]: step(gap, None) for name, gap in parts.items()},
-        "hull": step(bounds.bound, analysis.hull_error),
-        "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
-        "sum": f"hull, at most = largest of {', '.join(causes[:-1])} and {causes[-1]}, which contain the errors of the "
-        "contacts; surface: what its method makes of that",
     }
 
 
@@ -323,12 +282,6 @@ def _hausdorff(analysis: Analysis, unit: str) -> dict[str, Any] | None:
 def _distances(comparison: Comparison) -> dict[str, float]:
     names = ("surface_to_mesh", "mesh_to_surface", "relative")
     return {"two_sided": comparison.hausdorff, **{name: getattr(comparison, name) for name in names}}
-
-
-def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
-    if comparison is None:
-        return None
-    return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
 
 
 def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> list[dict[str, Any]]:
@@ -489,7 +442,10 @@ def summary(data: Mapping[str, Any]) -> Summary:
         )
     if counts["light"]:
         rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
-    rows += _left_out_rows(data)
+    if (left_out := data["certificate"].get("left_out")) and left_out["rows"]:
+        part = f"{left_out['rows']} rows that contradict their neighbours, {share(left_out['share'])} of those with a force"
+        factor = number(left_out["noise_factor"])
+        rows.append(("left out", f"{part}; the others count with {factor} times the stated noise"))
     radius = data.get("rod", {}).get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]
@@ -498,7 +454,11 @@ def summary(data: Mapping[str, Any]) -> Summary:
         rows.append(
             ("rod's radius", f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line{leaves}")
         )
-    rows += _calibration_rows(data)
+    if rig := data.get("calibration"):
+        allowed_for = length(data["certificate"]["parts"]["systematic"], data["certificate"]["unit"], up=True)
+        exact = ", ".join(rig["taken_as_exact"])
+        unknown = f"; not determined by it, and taken as exact: {exact}" if exact else ""
+        rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
@@ -520,7 +480,8 @@ def summary(data: Mapping[str, Any]) -> Summary:
         rows.append(("certified", f"{_contours(certified)}; between them nothing, because the body is not convex"))
         rows += _premise_rows(certified)
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
-        bound = f"{_bound(certified)}{of_scanned(data)}"
+        bound = length(certified["bound"], certified["unit"], up=True)
+        bound = f"{bound} ({share(certified['relative'], up=True)} of the diagonal){of_scanned(data)}"
         confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
         table = certified.get("table")
         on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
@@ -567,20 +528,10 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
 
 
 def _contours(certified: Mapping[str, Any]) -> str:
-    """What is certified in the planes of the slices."""
     bound = certified["contours"]["bound"]
     if bound is None or not np.isfinite(bound):
         return "nothing in the planes of the slices"
     return f"outer contours within {length(bound, certified['unit'], up=True)} in the planes of the slices"
-
-
-def _left_out_rows(data: Mapping[str, Any]) -> Rows:
-    """The row on wild rows of the recording, if there are any that were left out."""
-    left = data["certificate"].get("left_out")
-    if not left or not left["rows"]:
-        return []
-    part = f"{left['rows']} rows that contradict their neighbours, {share(left['share'])} of those with a force"
-    return [("left out", f"{part}; the others count with {number(left['noise_factor'])} times the stated noise")]
 
 
 def _premise_rows(certified: Mapping[str, Any]) -> Rows:
@@ -596,11 +547,6 @@ def _premise_rows(certified: Mapping[str, Any]) -> Rows:
 
 def _distance(part: Mapping[str, Any], unit: str) -> str:
     return f"{length(part['two_sided'], unit)} ({share(part['relative'])} of the diagonal)"
-
-
-def _bound(certified: Mapping[str, Any]) -> str:
-    bound, relative = length(certified["bound"], certified["unit"], up=True), share(certified["relative"], up=True)
-    return f"{bound} ({relative} of the diagonal)"
 
 
 def of_scanned(data: Mapping[str, Any]) -> str:
@@ -621,81 +567,14 @@ def _filled(data: Mapping[str, Any]) -> Rows:
     return [("scanned", f"the {HULL_OF_MESH}{dents}{part}{closes}")]
 
 
-def comparison_summary(comparison: Comparison, unit: str) -> Summary:
-    """The comparison of two meshes, whose lengths are in `unit`."""
-    low, high = length(comparison.lower, unit, digits=5), length(comparison.upper, unit, digits=5, up=True)
-    exact = "exact" if comparison.exact else f"certified between {low} and {high}"
-    where, symbol = lengths(comparison.worst_point, unit, digits=5)
-    averages = ", ".join(length(value, unit) for value in (comparison.mean, comparison.rms, comparison.p95))
-    error = share(comparison.volume_error) if np.isfinite(comparison.volume_error) else "unknown: open"
-    normals = f"{angle(comparison.normal_median_deg)} median, {angle(comparison.normal_p95_deg)} at 95 %"
-    return Summary(
-        "",
-        [
-            (
-                "Hausdorff distance",
-                f"{length(comparison.hausdorff, unit, digits=5)} ({share(comparison.relative)} of B's diagonal; {exact})",
-            ),
-            ("A to B", length(comparison.surface_to_mesh, unit, digits=5)),
-            ("B to A", length(comparison.mesh_to_surface, unit, digits=5)),
-            ("worst at", f"({', '.join(where)}) {symbol}, on {'A' if comparison.worst_on == 'surface' else 'B'}"),
-            ("mean, RMS, 95 %", averages),
-            (
-                "Chamfer, F-score",
-                f"{length(comparison.chamfer, unit)}, {comparison.f_score:.4f} at 1 % of B's diagonal",
-            ),
-            ("normals", normals),
-            ("volume error", error),
-        ],
-    )
-
-
-def _calibration_rows(data: Mapping[str, Any]) -> Rows:
-    """The row of a report's summary on what the certificate allows for by the calibration, and what it takes as exact."""
-    rig = data.get("calibration")
-    if not rig:
-        return []
-    size, unit = data["certificate"]["parts"]["systematic"], data["certificate"]["unit"]
-    exact = rig["taken_as_exact"]
-    unknown = f"; not determined by it, and taken as exact: {', '.join(exact)}" if exact else ""
-    return [("calibration", f"allowed for with up to {length(size, unit, up=True)} at a contact{unknown}")]
-
-
 def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """The key figures of a report for pages and pictures, as pairs of name and value."""
-    mesh, counts, unit = data["mesh"] or {}, data["counts"], data["certificate"]["unit"]
-    of_hull = of_scanned(data)
-    from_hull = of_hull.replace("of", "from", 1)
-    rows = [("scanned", f"the {HULL_OF_MESH}")] if of_hull else []
+    """The summary of a report for pages and pictures, with the size of the body and the likeliest fault."""
+    heading, rows = summary(data)
+    mesh, diagnosis = data["mesh"] or {}, data.get("diagnosis")
+    figures = [("scan", heading)]
     if mesh:
-        size, symbol = lengths(mesh["extents"], unit)
-        rows.append(("size", f"{' × '.join(size)} {symbol}"))
-    rows += [("contacts", str(counts["contacts"]))]
-    rows += [("slices", str(counts["slices"]))] if counts["slices"] else []
-    rows += [("sweeps", str(counts["sweeps"]))]
-    if data["contact_error"]:
-        rows.append(("contact error", f"{length(data['contact_error']['max'], unit)} at most{from_hull}"))
-    if data["friction"]["estimated_median"] is not None:
-        rows.append(("friction", f"{number(data['friction']['estimated_median'])} (median)"))
-    rows.append(("surface", f"{data['surface']['method']}, {data['surface']['faces']} faces"))
-    rows += _left_out_rows(data)
-    if data["warnings"]:
-        rows.append(("not certified", ", ".join(warning["code"] for warning in data["warnings"])))
-    if data.get("diagnosis"):
-        rows.append(("diagnosis", data["diagnosis"]["message"]))
-
-    hausdorff, certified = data["hausdorff"], data["certificate"]
-    if hausdorff:
-        rows.append(("Hausdorff distance", length(hausdorff["two_sided"], unit) + from_hull))
-        if itself := hausdorff.get("mesh_itself"):
-            rows.append(("distance from the mesh itself", length(itself["two_sided"], unit)))
-    rows += _known_rows(data)
-    if "contours" in certified and not data["warnings"]:
-        rows.append(("certified", _contours(certified)))
-        rows += _premise_rows(certified)
-    if certified["bound"] is not None and np.isfinite(certified["bound"]):
-        rows.append(("certified within", length(certified["bound"], unit, up=True) + of_hull))
-        rows += _premise_rows(certified)
-    if certified.get("grown"):
-        rows.append(("measured", certified["grown"]))
-    return tuple(rows)
+        size, symbol = lengths(mesh["extents"], data["certificate"]["unit"])
+        figures.append(("size", f"{' × '.join(size)} {symbol}"))
+    contradictions = [("contradicted", ", ".join(warning["code"] for warning in data["warnings"]))]
+    figures += rows + (contradictions if data["warnings"] else [])
+    return (*figures, *([("diagnosis", diagnosis["message"])] if diagnosis else []))

@@ -179,14 +179,8 @@ class Result(Shown):
             mesh file lies in it, beside it, or in the current folder.
         against
             another result, its folder, or a surface or mesh file: the surface is coloured by its signed distance from that one.
-        view
-            one of `scan3d.choices.VIEWS`.
-        color
-            what contacts are coloured by in the view 'cloud', one of `scan3d.choices.COLORS`.
-        size, dpi, camera, path, overwrite
-            as in `scan3d.plot`: ``plot(size="85x60mm", dpi=600, camera="300,25", path="egg.pdf")`` also writes a file.
 
-        Raises InputError for other values, and where nothing can be rendered.
+        The other arguments, and what it raises, are those of `scan3d.plot`.
         """
         drawn, scene = sheet(size, dpi, camera), self._scene()
         if truth is not None:
@@ -219,7 +213,6 @@ class Result(Shown):
 
     @cached_property
     def _files(self) -> Scene:
-        """What cloud.ply and surface.ply hold."""
         return scene_of_folder(self._place, self.report, "mm")
 
     def _scene(self) -> Scene:

@@ -100,7 +100,6 @@ class RigUncertainty:
 
 
 def _matrix(values: Any, size: int) -> Array:
-    """A matrix (size, size) of finite numbers."""
     try:
         matrix = np.array(values, dtype=float)
     except (ValueError, TypeError):

@@ -254,7 +254,6 @@ class Gravity:
 
 
 def _plain(value: Any) -> Any:
-    """An array as lists."""
     return value.tolist() if hasattr(value, "tolist") else value
 
 

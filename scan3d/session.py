@@ -17,18 +17,9 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.numbers import length, share
 from scan3d.pipeline import analyse
+from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
 from scan3d.planning.plan import Plan, further_directions, open_places
-from scan3d.planning.rig import (
-    Envelope,
-    RigPlan,
-    Sweep,
-    lines_to,
-    parse_envelope,
-    plan_poses,
-    pose_list,
-    slice_sweep,
-)
 from scan3d.planning.stretches import aimed_line, aims
 from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
@@ -79,7 +70,7 @@ class Session(Described):
 
     def __init__(
         self,
-        around: Envelope | str,
+        around: rig.Envelope | str,
         rod: Rod | None = None,
         model: Model = "planar",
         *,
@@ -87,8 +78,8 @@ class Session(Described):
         seed: int = 0,
         **settings: Any,
     ) -> None:
-        body = parse_envelope(around) if isinstance(around, str) else around
-        self.plan = RigPlan(body, model, rod=rod, **{"slices": _FIRST_SLICES, **settings})
+        body = rig.parse_envelope(around) if isinstance(around, str) else around
+        self.plan = rig.RigPlan(body, model, rod=rod, **{"slices": _FIRST_SLICES, **settings})
         self.plan.resolved_clearance()
         if not tolerance >= 0:
             raise InputError(f"tolerance must be a number >= 0, got {tolerance}")
@@ -104,17 +95,17 @@ class Session(Described):
         span no body.
         """
         if not self._recordings:
-            return plan_poses(self.plan)
+            return rig.plan_poses(self.plan)
         if self.relative_bound <= self.tolerance:
             return None
         chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
         if not chosen:
             return None
-        return pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1)
+        return rig.pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1)
 
     def planned(self) -> PoseList:
         """The poses of the first batch."""
-        return plan_poses(self.plan)
+        return rig.plan_poses(self.plan)
 
     def tell(self, recording: Recording) -> None:
         """Add what was measured; its sweeps are numbered after those so far.
@@ -213,21 +204,21 @@ class Session(Described):
             self._last = found
         return self._last
 
-    def _further_slices(self, sweeps: int) -> list[Sweep]:
+    def _further_slices(self, sweeps: int) -> list[rig.Sweep]:
         """Sweeps of new slices, and of slices that their contacts leave open.
 
         Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
         """
         space, cloud = self.plan.space(), self.cloud
         count = max(1, sweeps // _SIDES)
-        at_stretches: list[Sweep] = []
+        at_stretches: list[rig.Sweep] = []
         if cloud.convex:
             heights = next_heights(cloud.fattened or cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
         else:
             outline = self.plan.around.outline()
             for aim in aims(self.recording, cloud)[:sweeps]:
                 line = aimed_line(aim, outline, space.length, space.clearance)
-                at_stretches.append(slice_sweep(self.plan, space, aim.angle, aim.height, line))
+                at_stretches.append(rig.slice_sweep(self.plan, space, aim.angle, aim.height, line))
             known = np.unique(cloud.slice_height)
             between = np.argsort(-np.diff(known), kind="stable")[: (sweeps - len(at_stretches)) // _SIDES]
             heights = (known[between] + known[between + 1]) / 2
@@ -239,7 +230,7 @@ class Session(Described):
             for angle in 2 * np.pi * np.arange(_SIDES) / _SIDES
         ]
         chosen += self._open_directions(sweeps)
-        return at_stretches + [slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
+        return at_stretches + [rig.slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
 
     def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
         """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""
@@ -263,16 +254,15 @@ class Session(Described):
             ]
         return directions[:sweeps]
 
-    def _aimed(self, sweeps: int) -> list[Sweep]:
-        """Sweeps aimed at the places that the contacts in space leave open."""
+    def _aimed(self, sweeps: int) -> list[rig.Sweep]:
         space = self.plan.space()
         random = np.random.default_rng([self._seed, 7, len(self._recordings)])
         target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, _SPARE * sweeps)
-        lines = lines_to(target * space.length, normal, space, random)[:sweeps]
+        lines = rig.lines_to(target * space.length, normal, space, random)[:sweeps]
         return [line.sweep(self.plan.samples) for line in lines]
 
 
-def around_contacts(recording: Recording, model: str) -> Envelope:
+def around_contacts(recording: Recording, model: str) -> rig.Envelope:
     """A cylinder about the z axis that contains the contacts of a recording with a margin.
 
     Raises InputError for contacts below z = 0, where the table is.
@@ -286,7 +276,7 @@ def around_contacts(recording: Recording, model: str) -> Envelope:
             "z axis; move the frame of the poses"
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())
-    return Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
+    return rig.Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
 
 
 def _is_level(recording: Recording) -> bool:

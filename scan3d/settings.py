@@ -7,9 +7,9 @@ fields.  Settings from a file take precedence over the defaults, and those of th
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
 from scan3d.choices import METHODS, Method, Model, Spacing, one_of
@@ -150,7 +150,9 @@ def shows_settings(function: _Function) -> _Function:
     return function
 
 
-def settings(given: Mapping[str, Any], config: str | Path | None = None, source: str = "the command line") -> Settings:
+def settings(
+    given: Mapping[str, Any], config: str | os.PathLike[str] | None = None, source: str = "the command line"
+) -> Settings:
     """The defaults, replaced by the settings of the file `config` and then by those in `given`.
 
     `source` is where those were given, for messages.
@@ -164,7 +166,7 @@ def settings(given: Mapping[str, Any], config: str | Path | None = None, source:
 def varied_settings(
     given: Mapping[str, Any],
     grid: Sequence[Mapping[str, Any]],
-    config: str | Path | None = None,
+    config: str | os.PathLike[str] | None = None,
     source: str = "the command line",
     grid_source: str = "the grid",
 ) -> list[Settings]:
@@ -182,7 +184,7 @@ def varied_settings(
     for values in grid:
         twice = sorted(given.keys() & values.keys())
         if twice:
-            raise UsageError(f"{twice[0]} is given by {source} and by {grid_source}; leave one of them out")
+            raise UsageError(f"{twice[0]} is in {grid_source}, and is given beside it as well; leave one of them out")
         chosen = _merged(file, (source, given), (grid_source, values))
         try:
             chosen.plan()

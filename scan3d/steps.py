@@ -26,10 +26,10 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, import_open3d
 from scan3d.files.binary_tables import ENDING as PARQUET
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, read_cloud, to_polydata, write_shape
+from scan3d.files.formats import to_polydata, write_shape
 from scan3d.files.meshes import FORMATS, common_unit, load_mesh, read_mesh, stated_unit
 from scan3d.files.recordings import read_recording, sidecar, write_recording
-from scan3d.files.shapes import Shape, cloud_table, surface_table, table
+from scan3d.files.shapes import Shape, cloud_table, read_shape, surface_table, table
 from scan3d.files.whole import check_pair
 from scan3d.geometry.distance import distances
 from scan3d.planning import Plan
@@ -130,7 +130,7 @@ def save(
 
     what
         a recording (``.csv`` or ``.parquet``, with a ``.toml`` beside it), a cloud (``.ply``, ``.pcd``, ``.vtp``, ``.xyz``,
-        ``.xyzn``, ``.csv``, ``.glb`` or ``.mcap``, a bag of ROS 2) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or
+        ``.xyzn``, ``.csv`` or ``.glb``) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or
         ``.vtp``).
     truth
         the true body, or the path of its mesh: the column ``quality`` is then the distance of each point from it.
@@ -153,7 +153,7 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
     """What a file holds: a recording, a cloud, or a surface or another mesh.
 
     path
-        of a file in a format of `scan3d.save`, or of any mesh file.
+        of a recording, of a cloud or a surface in a ``.ply`` of `scan3d.save`, or of any mesh file.
     unit
         of a file that does not state its unit; lengths stay as they are in the file.
 
@@ -169,22 +169,17 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
         raise InputError(
             f"there is no file {path}; give a recording, a cloud, a surface or a mesh, and a folder to scan3d.open"
         )
-    if ending == PARQUET or (ending == ".csv" and not _is_cloud_table(path)):
+    if ending in (".csv", PARQUET):
         return read_recording(path)
-    if ending == ".ply" and not _is_scan3d_ply(path):
+    if ending[1:] not in FORMATS:
+        known = (".csv", PARQUET, *(f".{name}" for name in FORMATS))
+        raise InputError(f"can't load {path.name}: expected a file ending in {one_of(known)}")
+    if ending != ".ply" or not _is_scan3d_ply(path):
         return _mesh(path, unit)
-    if ending in CLOUD_ENDINGS:
-        shape = read_cloud(path, unit)
-        return shape if shape.faces is None else _surface(shape)
-    if ending[1:] in FORMATS:
-        return _mesh(path, unit)
-    known = sorted({*CLOUD_ENDINGS, *SURFACE_ENDINGS, *(f".{name}" for name in FORMATS), PARQUET})
-    raise InputError(f"can't load {path.name}: expected a file ending in {one_of(known)}")
-
-
-def _is_cloud_table(path: Path) -> bool:
-    with open(path, "rb") as file:
-        return file.readline(1 << 12).startswith(b"x_")
+    shape = read_shape(path)
+    if unit not in (None, shape.unit):
+        raise InputError(f"{path.name} is in {shape.unit}, as it states itself, and not in {unit}; leave the unit out")
+    return shape if shape.faces is None else _surface(shape)
 
 
 def _is_scan3d_ply(path: Path) -> bool:

@@ -88,7 +88,6 @@ class Workers(Executor):
 
 
 def _get_ready() -> None:
-    """What a worker does before its first call."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     # Ctrl-C in a terminal reaches all its processes: the one that started this one ends it

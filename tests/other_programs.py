@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.shapes import ply
 
-FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
+FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS[:-1]] + [("surface", ending) for ending in SURFACE_ENDINGS]
 # Turns vectors from the axes of glTF, of which y is up, to those of the world.
 Y_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 # Numbers with a smaller relative difference count as equal: float32 and text of six digits are allowed, and no more.

@@ -10,7 +10,7 @@ from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
 from scan3d.arrays import SOME
-from scan3d.comparison import compare, compare_all
+from scan3d.comparison import compare, compare_with_points
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 
@@ -40,12 +40,11 @@ def test_units_do_not_matter(pair, scale):
             assert after == pytest.approx(scale * before, rel=1e-6)
 
 
-def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alone():
-    mesh, surface, inner = ball(3), moved(ball(2), (0.1, 0.2, 0.3)), cube(1.0)
+def test_a_comparison_of_a_surface_and_points_is_that_of_each_alone():
+    mesh, surface = ball(3), moved(ball(2), (0.1, 0.2, 0.3))
     points = np.random.default_rng(0).normal(size=(500, 3))
-    both, of_inner, of_points = compare_all(surface, inner, points, mesh)
+    both, of_points = compare_with_points(surface, points, mesh)
     assert str(both) == str(compare(surface, mesh))
-    assert of_inner == pytest.approx(compare(inner, mesh).hausdorff, rel=1e-12)
     assert of_points == pytest.approx(distances(points, mesh), abs=1e-14 * mesh.scale)
 
 
@@ -132,5 +131,3 @@ def test_what_cannot_be_compared_is_refused(mesh, words):
         compare(mesh, cube())
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
         compare(cube(), mesh)
-    with pytest.raises(InputError, match=f"the mesh should .*{words}"):
-        compare_all(cube(), cube(), np.zeros((1, 3)), mesh)

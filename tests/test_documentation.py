@@ -173,7 +173,7 @@ def test_the_glossary_knows_the_words_that_a_report_prints() -> None:
         (ROOT / "scan3d" / "report.py")
         .read_text(encoding="utf-8")
         .partition("def summary")[2]
-        .partition("def comparison_summary")[0]
+        .partition("def key_figures")[0]
     )
     labels = {
         *re.findall(r'^\s*(?:rows\.append\(|return \[)?\(?\(?"([a-zA-Z][a-zA-Z \']+)", ', source, re.MULTILINE),

@@ -508,9 +508,6 @@ def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
     assert 0 < sharp < len(full)
     assert found.summary.samples == pytest.approx(sharp / 4, rel=0.2)
     assert found.summary.left_out["thinned"] == sharp - found.summary.samples
-    data["filter"] = {"lowpass_hz": 50.0}
-    notes = convert(raw, read_map(data)).summary.notes
-    assert "rate_hz = 100 under [filter] keeps rows with independent noise" in " ".join(notes)
     del data["columns"]["time"]
     with pytest.raises(InputError, match=r"\[filter\] needs the time of the rows"):
         convert(raw, read_map(data))

@@ -1,4 +1,4 @@
-"""Movies: the rod of a sweep with its reactions growing beside it, and the body growing slice by slice."""
+"""Movies: the body grows slice by slice."""
 
 import sys
 import types
@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from image_checks import of_color
 from PIL import Image, ImageSequence
 from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures import movie, parts, rendering
+from scan3d.pictures import movie, rendering
 
 SIZE = (980, 560)
-LEFT, RIGHT = (slice(0, 500), slice(0, 550)), (slice(0, 500), slice(640, 980))
 
 
 @pytest.fixture(scope="module")
@@ -30,31 +28,13 @@ def images(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make", "colors"),
-    [(lambda: scanned(EGG), [parts.ROD]), (scanned_in_space, parts.REACTION_COLORS)],
-    ids=["planar", "spatial"],
-)
-def test_a_sweep(make, colors, tmp_path):
-    movie.movie(make(), tmp_path / "sweep.gif", frames=5)
-    shown = images(tmp_path / "sweep.gif")
-    assert len(shown) == 5
-    for image in shown:
-        assert (image[:5] == 255).all()
-        assert of_color(image[LEFT], parts.BODY).mean() > 0.03
-        assert of_color(image[LEFT], parts.ROD).sum() > 200
-    # the trace of contacts and the curves grow, in space those of three components of force and moment
-    for color, part in [(parts.TANGENTIAL, LEFT)] * (len(colors) == 1) + [(color, RIGHT) for color in colors]:
-        assert np.all(np.diff([of_color(image[part], color).sum() for image in shown]) > 0)
-
-
 @pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
 def test_growth(make, tmp_path):
     # the rod is seen in every frame, and not without a recording
-    movie.movie(make(), tmp_path / "rod.gif", "growth", frames=2)
-    movie.movie(replace(make(), recording=None), tmp_path / "growth.gif", "growth", frames=3)
+    movie.movie(make(), tmp_path / "rod.gif", frames=2)
+    movie.movie(replace(make(), recording=None), tmp_path / "growth.gif", frames=3)
     with_rod, shown = images(tmp_path / "rod.gif"), images(tmp_path / "growth.gif")
     blue = [(image[:500, :, 2].astype(int) - image[:500, :, 0] > 40).sum() for image in (*with_rod, *shown)]
     assert min(blue[:2]) > 300
@@ -69,12 +49,14 @@ def test_growth(make, tmp_path):
         assert (earlier & ~later).sum() < 0.01 * earlier.sum()
 
 
+@pytest.mark.rendering
 def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
     for name in ("a.gif", "b.gif"):
         movie.movie(egg, tmp_path / name, frames=2)
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
+@pytest.mark.rendering
 def test_an_mp4_is_written_by_ffmpeg(egg, tmp_path, monkeypatch):
     written = []
 
@@ -97,15 +79,13 @@ def test_an_mp4_is_written_by_ffmpeg(egg, tmp_path, monkeypatch):
 
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # importing it fails
-    monkeypatch.setattr(rendering, "can_render", lambda: False)  # which the movie of a sweep does not need
-    for change, name, of, sentence in (
-        ({}, "x.gif", "dance", "a movie is of sweep or growth, got 'dance'"),
-        ({}, "x.avi", "sweep", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
-        ({}, "x.mp4", "sweep", "an .mp4 needs .*: 'pip install imageio-ffmpeg'; or write a .gif"),
-        (dict(recording=None), "x.gif", "sweep", "egg has no recording, which rods are drawn from"),
-        (dict(contacts=None), "x.gif", "growth", "egg does not say which slices its contacts lie in"),
-        ({}, "x.gif", "growth", "nothing here can render off screen"),
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    for change, name, sentence in (
+        ({}, "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
+        ({}, "x.mp4", "an .mp4 needs .*: 'pip install imageio-ffmpeg'; or write a .gif"),
+        (dict(contacts=None), "x.gif", "egg does not say which slices its contacts lie in"),
+        ({}, "x.gif", "nothing here can render off screen"),
     ):
         with pytest.raises(scan3d.InputError, match=sentence):
-            movie.movie(replace(egg, **change), tmp_path / name, of)
+            movie.movie(replace(egg, **change), tmp_path / name)
         assert not list(tmp_path.iterdir())

@@ -136,11 +136,11 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
 # --- pictures ---
 
 
-def test_what_can_not_be_plotted(recording, cloud, surface, comparison, monkeypatch):
+def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
     mesh = scanned(CUBE).truth
     for what, options, sentence in (
-        ([1, 2], {}, r"only a recording, a cloud, a surface \(trimesh.Trimesh\) or a comparison .*, got a list"),
+        ([1, 2], {}, r"only a recording, a cloud or a surface \(trimesh.Trimesh\) can be plotted, got a list"),
         (surface, dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
         (surface, dict(view="cloud"), "the surface has no contacts"),
         (cloud, dict(color="error"), "the error of the contacts of the cloud is not known"),
@@ -150,7 +150,6 @@ def test_what_can_not_be_plotted(recording, cloud, surface, comparison, monkeypa
         (surface, dict(against=mesh, view="bound"), "surfaces are compared in the views surface, compare or histogram"),
         (recording, dict(path="a.jpg"), r"a picture is written as \.png, \.pdf or \.svg, got 'a\.jpg'"),
         (recording, dict(camera="top"), "the view forces shows no body, so that it has no camera"),
-        (comparison, dict(camera="top"), "a comparison shows no body, so that it has no camera"),
     ):
         with pytest.raises(scan3d.InputError, match=sentence):
             scan3d.plot(what, **options)

@@ -63,7 +63,6 @@ def test_without_the_truth_there_is_no_comparison(scan):
     assert analysis.truth is None
     assert analysis.comparison is None
     assert analysis.contact_error is None
-    assert analysis.hull_error is None
     # no other result depends on the truth
     for name in ("cloud", "bounds", "surface", "certificate"):
         assert_same(getattr(analysis, name), getattr(with_truth, name))

@@ -5,13 +5,12 @@ import json
 
 import numpy as np
 import pytest
-import yaml
 
 import planar
 from planar.elastica import bend
 from scan3d import InputError, Rod
 from scan3d.cli import main
-from scan3d.files.poses import COLUMNS, read_poses, to_yaml, write_poses
+from scan3d.files.poses import COLUMNS, read_poses, write_poses
 from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import (
@@ -201,21 +200,6 @@ def test_poses_are_read_back_bit_for_bit(tmp_path):
     assert read_poses(tmp_path / "poses.csv").rod is None
 
 
-def test_yaml_is_a_list_of_points_as_ros_names_them():
-    poses = planned("sphere:60", model="spatial")
-    data = yaml.safe_load(to_yaml(poses))
-    assert data["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
-    assert len(data["points"]) == len(poses)
-    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in data["points"]]
-    np.testing.assert_allclose(times, poses.times(), atol=1e-9)
-    position = [[p["pose"]["position"][k] for k in "xyz"] for p in data["points"]]
-    orientation = [[p["pose"]["orientation"][k] for k in "wxyz"] for p in data["points"]]
-    assert (np.array(position, dtype=float) == poses.position_m).all()
-    assert (np.array(orientation, dtype=float) == poses.quaternion).all()
-    assert [p["move"] for p in data["points"]] == [Move(m).name.lower() for m in poses.move]
-    assert [p["sweep"] for p in data["points"]] == poses.sweep.tolist()
-
-
 GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
 
 
@@ -246,8 +230,6 @@ def test_the_command_writes_poses_without_a_mesh(tmp_path, capsys):
     assert data["sweeps"] == len(poses.sweeps()) == 16
     assert data["rows"] == len(poses)
     assert data["largest_force_N"] == pytest.approx(2 * poses.rod.force_unit_N / 0.3**2)
-    assert main(["plan", "--around", "cylinder:80x90", "--out", str(out.with_suffix(".yaml")), "--slices", "3"]) == 0
-    assert "16 sweeps" in capsys.readouterr().out
     # its own files are replaced
     assert main(["plan", "--around", "sphere:50", "--out", str(out), "--slices", "3", "--quiet"]) == 0
     assert read_poses(out).source["around"] == "sphere:50"

@@ -11,7 +11,7 @@ import trimesh
 from small_scans import CUBE, EGG
 
 import scan3d
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import SURFACE_ENDINGS, export
 from scan3d.geometry.distance import distances
 from scan3d.pictures import rendering
 
@@ -30,32 +30,20 @@ def result(folder):
         return scan3d.scan(CUBE, folder, slices=6, sweeps=4, samples=16, method="hull", friction=(0.1, 0.4))
 
 
-@pytest.mark.parametrize("ending", CLOUD_ENDINGS)
-def test_a_cloud_comes_back(result, tmp_path, ending):
-    path, cloud = tmp_path / f"cloud{ending}", result.cloud
-    if ending == ".xyzn":  # which has no place for an unknown normal
-        cloud = cloud.select(np.isfinite(cloud.normals).all(axis=1))
+def test_a_cloud_comes_back(result, tmp_path):
+    path, cloud = tmp_path / "cloud.ply", result.cloud
     cloud.save(path, truth=CUBE)
     back = scan3d.load(path)
     assert isinstance(back, scan3d.Shape)
     assert (len(back), back.unit) == (len(cloud), "mm")
-    tolerance = SINGLE * 40 if ending == ".pcd" else 0
-    assert np.abs(back.points - cloud.points).max() <= tolerance
-    if ending == ".xyz":
-        assert np.isnan(back.normals).all()
-    else:
-        assert np.allclose(back.normals, cloud.normals, atol=1e-6, equal_nan=True)
-    if ending in (".xyz", ".xyzn"):
-        assert not back.columns
-    else:
-        assert np.array_equal(back.columns["row"], cloud.row)
-        assert np.allclose(back.columns["friction"], cloud.friction, rtol=1e-6, equal_nan=True)
-        assert np.allclose(back.columns["quality"], distances(cloud.points, result.analysis.truth), atol=SINGLE * 40)
+    assert np.array_equal(back.points, cloud.points)
+    assert np.allclose(back.normals, cloud.normals, atol=1e-6, equal_nan=True)
+    assert np.array_equal(back.columns["row"], cloud.row)
+    assert np.allclose(back.columns["friction"], cloud.friction, rtol=1e-6, equal_nan=True)
+    assert np.allclose(back.columns["quality"], distances(cloud.points, result.analysis.truth), atol=SINGLE * 40)
     # and what was loaded is saved in the same way
-    back.save(tmp_path / f"again{ending}")
-    assert np.array_equal(scan3d.load(tmp_path / f"again{ending}").points, back.points)
-    if ending not in (".csv", ".pcd"):
-        assert (tmp_path / f"again{ending}").read_bytes() == path.read_bytes()
+    back.save(tmp_path / "again.ply")
+    assert (tmp_path / "again.ply").read_bytes() == path.read_bytes()
     assert repr(back).startswith("Shape\n  contacts ")
     assert len(repr(back).splitlines()) <= 10
 
@@ -66,13 +54,15 @@ def test_a_surface_is_saved_as_the_command_exports_it(result, folder, tmp_path, 
     scan3d.save(result.surface, saved)
     export(folder, exported)
     assert saved.read_bytes() == exported.read_bytes()
+    if ending == ".vtp":
+        return
     back = scan3d.load(saved)
     assert isinstance(back, trimesh.Trimesh)
     assert back.is_watertight
     scale = {".glb": 1e3}.get(ending, 1)  # GLB is in metres
     assert back.units == ("m" if ending == ".glb" else "mm")
     assert scan3d.compare(trimesh.Trimesh(scale * back.vertices, back.faces), result.surface).hausdorff < SINGLE * 40
-    if ending in (".ply", ".vtp"):
+    if ending == ".ply":
         assert np.allclose(back.vertex_attributes["bound"], result.certificate.at_vertices, rtol=1e-6)
 
 
@@ -93,8 +83,6 @@ def test_units_of_surfaces_and_points(result, tmp_path):
     assert scan3d.load(tmp_path / "a.stl").units == "in"
     scan3d.save(inches, tmp_path / "b.stl", unit="cm")
     assert scan3d.load(tmp_path / "b.stl").units == "cm"
-    result.cloud.save(tmp_path / "a.xyz")
-    assert scan3d.load(tmp_path / "a.xyz", unit="um").unit == "um"
     assert scan3d.load(CUBE).units is None
     assert scan3d.load(CUBE, unit="in").units == "in"
 
@@ -165,10 +153,8 @@ def test_what_can_not_be_saved(result, tmp_path):
 
 def test_what_can_not_be_loaded(result, tmp_path):
     files = {
-        "a.txt": ("", r"can't load a\.txt: expected a file ending in \.csv, .* or \.xyzn"),
-        "a.pcd": ("VERSION 0.7\n", r"a\.pcd is not a \.pcd file as scan3d writes it: its header has no unit"),
-        "a.xyz": ("1 2\n", r"a\.xyz is not a \.xyz file .*: it has 2 numbers in a line"),
-        "a.csv": ("x_ell,y\n1,2\n", r"a\.csv is not a \.csv file .*: its header begins with 'x_ell'"),
+        "a.txt": ("", r"can't load a\.txt: expected a file ending in \.csv, .* or \.glb"),
+        "a.csv": ("x_mm,y_mm\n1,2\n", r"a\.csv is not a recording: its header lacks sweep"),
         "a.ply": ("ply\n", r"a\.ply can't be read as PLY|a\.ply is cut off"),
     }
     for name, (text, sentence) in files.items():
@@ -181,7 +167,7 @@ def test_what_can_not_be_loaded(result, tmp_path):
         scan3d.load(tmp_path)
     with pytest.raises(scan3d.InputError, match="unit must be one of m, cm, mm, um, in, got 'ell'"):
         scan3d.load(CUBE, unit="ell")
-    for thing, name in ((result.surface, "s.stl"), (result.cloud, "c.pcd")):
+    for thing, name in ((result.surface, "s.stl"), (result.cloud, "c.ply")):
         scan3d.save(thing, tmp_path / name)
         with pytest.raises(scan3d.InputError, match=f"{name} is in mm, as it states itself, and not in in"):
             scan3d.load(tmp_path / name, unit="in")

@@ -158,5 +158,3 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
     assert main([*again, "--tolerance", "0.5"]) == 0
     assert (tmp_path / "p2.csv").read_text() == ",".join(COLUMNS) + "\n"
     assert "0 further sweeps" in capsys.readouterr().out
-    assert main([*again[:-1], str(tmp_path / "p2.yaml"), "--tolerance", "0.5", "--quiet"]) == 0
-    assert (tmp_path / "p2.yaml").read_text().endswith("points: []\n")

@@ -15,7 +15,7 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.reconstruction.wild import noise_in_air
-from scan3d.report import key_figures, report, summary
+from scan3d.report import report, summary
 from tests.robustness import bounds
 
 BODIES = {
@@ -145,8 +145,7 @@ def test_rows_keep_their_numbers_and_the_report_counts_those_that_are_left_out()
     assert left["rows"] == data["counts"]["left_out"] == len(cloud.left_out.rows)
     assert left["share"] < left["largest_share"]
     assert "but for single wild rows" in data["certificate"]["premise"]
-    for rows in (dict(summary(data).rows), dict(key_figures(data))):
-        assert rows["left out"].startswith(f"{left['rows']} rows that contradict their neighbours")
+    assert dict(summary(data).rows)["left out"].startswith(f"{left['rows']} rows that contradict their neighbours")
 
 
 def test_rows_that_a_thick_rod_contradicts_itself_in_are_left_out():

@@ -139,7 +139,6 @@ def run(argv: Sequence[str] | None = None) -> int:
 
 
 def _called(name: str, command: Callable[..., int | None], bound: inspect.BoundArguments) -> int:
-    """Call a command, whose progress is shown; the exit code."""
     if "output" not in inspect.signature(command).parameters:
         return command(*bound.args, **bound.kwargs) or 0
     output = bound.arguments.get("output", Output())

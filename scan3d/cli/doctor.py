@@ -60,16 +60,19 @@ def examine() -> dict[str, Any]:
 
     packages = {name: _version(name) for name in (*NEEDED, "vtk", *OPTIONAL)}
     scan_error, open3d_error = _error_of(_SCAN), _error_of("import open3d")
-    pictures = _can_render()
-    missing = [
-        _missing(name, OPTIONAL.get(name, "every scan"), "not installed", _pip(name))
-        for name in (*NEEDED, *OPTIONAL)
-        if packages[name] is None
-    ]
+    missing: list[dict[str, str | None]] = []
+
+    def lacks(what: str, use: str, why: str, command: str) -> None:
+        known = command if sys.platform == "linux" or not command.startswith("apt-get") else None
+        missing.append({"what": what, "for": use, "why": why, "command": known})
+
+    for name in (*NEEDED, *OPTIONAL):
+        if packages[name] is None:
+            lacks(name, OPTIONAL.get(name, "every scan"), "not installed", _pip(name))
     if packages["open3d"] is not None and open3d_error:
-        missing.append(_missing("open3d", OPTIONAL["open3d"], open3d_error, _apt("libgl1 libgomp1")))
-    if not pictures:
-        missing.append(_missing("renderer", "pictures", "nothing can render off screen", _apt("libegl1 libgl1")))
+        lacks("open3d", OPTIONAL["open3d"], open3d_error, "apt-get install libgl1 libgomp1")
+    if not (pictures := _can_render()):
+        lacks("renderer", "pictures", "nothing can render off screen", "apt-get install libegl1 libgl1")
     return {
         "scan3d": _version("scan3d"),
         "python": platform.python_version(),
@@ -94,17 +97,12 @@ def summary(state: dict[str, Any]) -> list[tuple[str, str]]:
         ("open3d", open3d_words if packages["open3d"] else "not installed (no scan needs it by default)"),
         ("packages", ", ".join(f"{name} {number}" for name, number in packages.items() if number)),
     ]
-    # what a scan does not need and nobody asked for is not missing
-    optional = [item["what"] in OPTIONAL and packages[item["what"]] is None for item in state["missing"]]
-    for item, is_optional in zip(state["missing"], optional, strict=True):
+    for item in state["missing"]:
         command = f": {item['command']}" if item["command"] else ""
-        label = "optional" if is_optional else "missing"
+        # what a scan does not need and nobody asked for is not missing
+        label = "optional" if item["what"] in OPTIONAL and packages[item["what"]] is None else "missing"
         rows.append((label, f"{item['what']} ({item['why']}), for {item['for']}{command}"))
-    return rows if not all(optional) else [*rows, ("missing", "nothing")]
-
-
-def _missing(what: str, use: str, why: str, command: str | None) -> dict[str, str | None]:
-    return {"what": what, "for": use, "why": why, "command": command}
+    return rows if any(label == "missing" for label, _ in rows) else [*rows, ("missing", "nothing")]
 
 
 def _version(name: str) -> str | None:
@@ -120,7 +118,6 @@ def _version(name: str) -> str | None:
 
 
 def _pip(name: str) -> str:
-    """The command that installs a package in the version that scan3d requires."""
     from importlib.metadata import requires
 
     if name == "open3d":
@@ -129,10 +126,6 @@ def _pip(name: str) -> str:
         matches = [re.match(rf"{name}\b[^;\s]*", line) for line in requires("scan3d") or ()]
         requirement = next((match[0] for match in matches if match), name)
     return shlex.join([sys.executable, "-m", "pip", "install", requirement])
-
-
-def _apt(packages: str) -> str | None:
-    return f"apt-get install {packages}" if sys.platform == "linux" else None
 
 
 def _error_of(code: str) -> str | None:

@@ -23,7 +23,6 @@ OPTIONS = Parameter(
 )
 # Names of the files that are written into the folder.
 _PICTURE, _CONTACTS = "sweep.png", "contacts.csv"
-_ASK_NOISE = "give the noise by --noise-force and --noise-moment"
 
 
 def reconstruct(
@@ -93,39 +92,31 @@ def _data(found: Any) -> dict[str, Any]:
 
 
 def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
-    """The key figures as rows (label, value)."""
-    unit = data["unit"]
-    low, high = data["s1"]
+    unit, friction = data["unit"], "not known, as no contact is tangential"
+    ask = "give the noise by --noise-force and --noise-moment"
 
     def size(value: float, digits: int = 3) -> str:
         return length(value, unit, digits=digits) if unit == "mm" else f"{number(value, digits)} {unit}"
 
-    rows = [
+    if data["friction_median"] is not None:
+        low, high = map(number, data["friction_range"])
+        friction = f"{number(data['friction_median'])}, median of {low} to {high}"
+        if "friction_sd_median" in data:
+            friction += f", standard deviation of one contact {number(data['friction_sd_median'], 2)}"
+    place = f"not known: {ask}"
+    if "place_sd_median" in data:
+        median, largest = (size(data[f"place_sd_{name}"], 2) for name in ("median", "largest"))
+        by_rounding = f"; by rounding alone: {ask}" if data["only_rounding"] else ""
+        place = f"{median}, median of the standard deviations; largest {largest}{by_rounding}"
+    without = [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
+    left = [("undetermined", f"{data['undetermined']}: two reactions leave several contacts open")]
+    return [
         ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
-        *(("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()),
-        *(
-            [("undetermined", f"{data['undetermined']}: two reactions leave several contacts open")]
-            if data["undetermined"]
-            else []
-        ),
-        ("s1", f"{size(low, 4)} to {size(high, 4)}"),
+        *without,
+        *(left if data["undetermined"] else []),
+        ("s1", " to ".join(size(value, 4) for value in data["s1"])),
+        ("friction", friction),
+        ("error of the place", place),
+        ("written to", ", ".join(data["files"])),
     ]
-    if data["friction_median"] is None:
-        rows.append(("friction", "not known, as no contact is tangential"))
-    else:
-        low, high = data["friction_range"]
-        sd = (
-            f", standard deviation of one contact {number(data['friction_sd_median'], 2)}"
-            if "friction_sd_median" in data
-            else ""
-        )
-        rows.append(("friction", f"{number(data['friction_median'])}, median of {number(low)} to {number(high)}{sd}"))
-    if "place_sd_median" not in data:
-        rows.append(("error of the place", f"not known: {_ASK_NOISE}"))
-        return [*rows, ("written to", ", ".join(data["files"]))]
-    median, largest = data["place_sd_median"], data["place_sd_largest"]
-    by_rounding = f"; by rounding alone: {_ASK_NOISE}" if data["only_rounding"] else ""
-    sds = f"{size(median, 2)}, median of the standard deviations; largest {size(largest, 2)}{by_rounding}"
-    rows.append(("error of the place", sds))
-    return [*rows, ("written to", ", ".join(data["files"]))]

@@ -88,7 +88,7 @@ def plan(
 
     For example:
       scan3d plan --around cylinder:80x120 --out poses.csv
-      scan3d plan --around box:60x40x30 --out poses.yaml --model spatial --rod steel:0.3x70 --max-force 0.5
+      scan3d plan --around box:60x40x30 --out poses.csv --model spatial --rod steel:0.3x70 --max-force 0.5
       scan3d plan --around sphere:50 --out poses.csv --workspace box:400x400x300 --speed 10
 
     Parameters
@@ -96,7 +96,7 @@ def plan(
     around
         bounding body, standing on z = 0 about the z axis: cylinder:DxH, sphere:D or box:AxBxC
     out
-        the poses, .csv, or .yaml for ROS; a .toml is written as well
+        the poses, a .csv; a .toml is written as well
     model
         model of contact
     slices
@@ -183,7 +183,7 @@ def further(
         of the directions of sweeps in space
     """
     from scan3d.files import whole
-    from scan3d.files.poses import check_poses, write_header, write_poses
+    from scan3d.files.poses import check_poses, write_poses
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.whole import RECORDING, check_belongs, locate, read_report
     from scan3d.planning.rig import parse_envelope
@@ -208,10 +208,7 @@ def further(
     session.tell(measured)
     poses = session.ask(sweeps)
     with whole.folder(out.parent):
-        if poses is None:
-            write_header(session.planned(), out)
-        else:
-            write_poses(poses, out)
+        write_poses(poses or session.planned(), out, empty=poses is None)
     bound = session.certificate.bound
     data = {
         "poses": str(out),
@@ -332,7 +329,6 @@ def _write_log(log: RawLog, path: Path) -> None:
 
 
 def _write_placed(body: Any, unit: str, path: Path) -> None:
-    """Write a mesh with coordinates of double precision."""
     import numpy as np
 
     from scan3d.files.shapes import ply
@@ -422,7 +418,6 @@ def rigged(recording: Any, rig: Path | None) -> Any:
 
 
 def _quantities(found: Any) -> list[str]:
-    """The quantities, their uncertainties, and what the fit says of its premises, as lines."""
     lines = [f"{'quantity':24} {'value ± expanded U':>24}  determined"]
     for name, value, deviation, well in zip(
         found.names, found.values, found.standard_deviations, found.well, strict=True
@@ -451,7 +446,7 @@ def import_(
     out: File | None = None,
     guess: Flag = False,
     dry_run: Flag = False,
-    html: File | None = None,
+    picture: File | None = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
@@ -480,9 +475,9 @@ def import_(
     guess
         write a first map by the names of the columns, to --map or beside RAW, and stop
     dry_run
-        print what becomes of the first rows, and write a page with the curves only
-    html
-        a page with raw and converted curves (default with --dry-run: RAW with the ending .html)
+        print what becomes of the first rows, and write a picture of the curves only
+    picture
+        raw and converted curves, a .png, .pdf or .svg (default with --dry-run: RAW with the ending .png)
     """
     if guess:
         return _guess(raw, map, overwrite, output)
@@ -491,9 +486,10 @@ def import_(
     if not (out or dry_run):
         raise UsageError("--out names the recording; --dry-run only shows what would become of the table")
     from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
-    from scan3d.files.whole import check_file, check_pair, folder, write_atomic
+    from scan3d.files.whole import atomic, check_file, check_pair, folder
     from scan3d.laboratory.importing import KIND, convert, load, with_rig
     from scan3d.laboratory.maps import read_map
+    from scan3d.pictures import charts, views
     from scan3d.recording import joined
 
     inputs = {"table": raw, "map": map, "rig": rig}
@@ -504,9 +500,9 @@ def import_(
     written = None if dry_run else out
     if written:
         check_pair(written, sidecar(written), inputs, overwrite, kind=KIND)
-    page = html or (raw.with_suffix(".html") if dry_run else None)
-    if page:
-        check_file(page, inputs, overwrite, "--html")
+    drawn = picture or (raw.with_suffix(".png") if dry_run else None)
+    if drawn:
+        check_file(views.check_path(drawn), inputs, overwrite, "--picture")
     chosen = read_map(map)
     if rig:
         chosen = with_rig(chosen, str(rig))
@@ -517,11 +513,10 @@ def import_(
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
     rows, facts = _first_rows(source, imported), _facts(imported)
-    if page:
-        from scan3d.pictures.import_page import import_page
-
-        write_atomic(page, import_page(imported, facts, rows), "--html")
-    paths = {"recording": str(written) if written else None, "page": str(page) if page else None}
+    if drawn:
+        with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
+            charts.import_picture(imported, file)
+    paths = {"recording": str(written) if written else None, "picture": str(drawn) if drawn else None}
     places = [("written to", path) for path in paths.values() if path]
     text = table(f"{imported.summary.table}, imported", [*facts, *places])
     if dry_run:
@@ -579,7 +574,6 @@ def _first_rows(raw: Table, imported: Imported) -> list[list[str]]:
 
 
 def _facts(imported: Imported) -> list[tuple[str, str]]:
-    """What was done, as rows (label, value)."""
     done = imported.summary
     rate = "" if done.rate_hz is None else f" in {done.seconds:.4g} s, {done.rate_hz:.4g} Hz"
     left_out = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items() if count) or "none"

@@ -1,4 +1,4 @@
-"""The command show: a scan in a window, a picture, a page or a movie."""
+"""The command show: a scan in a browser, a picture, a page or a movie."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d.choices import Color, Movie, View, one_of
+from scan3d.choices import Color, View, one_of
 from scan3d.cli.options import File, Flag, Mesh, Output, Overwrite
 from scan3d.cli.terminal import print_result, printable
 from scan3d.errors import InputError, UsageError
@@ -28,7 +28,6 @@ def show(
     size: Annotated[str | None, Parameter(metavar="SIZE")] = None,
     dpi: Annotated[str | None, Parameter(metavar="N")] = None,
     camera: Annotated[str | None, Parameter(metavar="CAMERA", allow_leading_hyphen=True)] = None,
-    movie_of: Movie | None = None,
     truth: Mesh | None = None,
     hull: Flag = False,
     against: File | None = None,
@@ -36,7 +35,7 @@ def show(
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
-    """Show a scan in a window, a picture, a page or a movie.
+    """Show a scan in the browser, a picture, a page or a movie.
 
     For example:
       scan3d show out
@@ -47,22 +46,22 @@ def show(
       scan3d show out --against other --screenshot difference.png
       scan3d show out/cloud.ply --screenshot friction.pdf --color friction
       scan3d show log.csv --html log.html --truth part.stl
-      scan3d show out --movie sweep.gif
+      scan3d show out --movie egg.gif
 
     Parameters
     ----------
     path
         a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh
     screenshot
-        a picture, .png, .pdf or .svg, instead of a window
+        a picture, .png, .pdf or .svg
     html
-        an interactive page for any browser; it does not need the network
+        an interactive page for any browser; it does not need the network (default: in a temporary file, which is opened)
     movie
-        a .gif, or an .mp4 (needs imageio-ffmpeg)
+        the body as it grows: a .gif, or an .mp4 (needs imageio-ffmpeg)
     view
         what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png
     color
-        colour of the contacts in a picture or the window (default: force)
+        colour of the contacts in a picture (default: force)
     size
         size of the picture: WIDTH or WIDTHxHEIGHT in mm, cm, in, pt or px, such as 85mm or 85x60mm (default: 7in)
     dpi
@@ -70,8 +69,6 @@ def show(
     camera
         front, back, left, right, top, bottom or iso, or AZIMUTH,ELEVATION in degrees such as 300,25; a further ,1.5 zooms
         (default: the view's)
-    movie_of
-        what the movie shows (default: sweep)
     truth
         mesh of the true body; by default the mesh that the report names, if it is found
     hull
@@ -83,21 +80,19 @@ def show(
     """
     if view and not (screenshot or html or movie):
         screenshot = Path(f"{path.resolve().stem}-{view}.png")
-    _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
-    if movie_of and not movie:
-        raise UsageError("--movie-of says what a movie shows: give --movie FILE as well")
+    _check_picture(screenshot, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
     if against:
         _check_against(truth or hull, movie, color, view)
     try:
         chosen = sheet(size, dpi, camera)
     except InputError as error:
         raise UsageError(str(error)) from None
-    from scan3d.files.whole import atomic, check_file, write_atomic
-    from scan3d.pictures import canvas, drawing, page, views
+    from scan3d.files.whole import check_file, write_atomic
+    from scan3d.pictures import drawing, page, views
     from scan3d.pictures import movie as movies
 
-    if not (screenshot or html or movie) and not canvas.can_open():
-        raise InputError(canvas.NO_DISPLAY)
+    if not (screenshot or html or movie) and not page.can_open():
+        raise InputError(page.NO_DISPLAY)
     # file names are checked before the work
     if screenshot:
         views.check_path(screenshot)
@@ -115,17 +110,12 @@ def show(
         scene = scene.against(other_surface(against, scene.unit, unit))
     output.progress.tell("drawing")
     if not (screenshot or html or movie):
-        output.progress.end()
-        canvas.open_window(scene, print, color or "force")
-        return 0
+        opened = str(page.open_page(scene))
+        return print_result(output, {"shown": scene.name, "files": [opened]}, printable(f"{opened}, in the browser"))
     if html:
         write_atomic(html, page.page(scene), "--html")
-    if movie and movie_of == "growth":
-        job = movie.suffix.lower(), {"subject": "growth"}
-        write_atomic(movie, drawing.draw(scene, [job])[0], "--movie")
-    elif movie:  # nothing is rendered
-        with atomic(movie, "--movie") as file:
-            movies.movie(scene, file)
+    if movie:
+        write_atomic(movie, drawing.draw(scene, [(movie.suffix.lower(), {})])[0], "--movie")
     if screenshot:
         shown = view or ("cloud" if color or scene.surface is None else "surface")
         write_atomic(screenshot, drawing.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
@@ -134,16 +124,13 @@ def show(
     return print_result(output, {"shown": scene.name, "files": files}, text)
 
 
-def _check_picture(
-    screenshot: Path | None, other: Path | None, given: dict[str, str | None], color: Color | None
-) -> None:
-    """Raises UsageError for options that would have no effect."""
+def _check_picture(screenshot: Path | None, given: dict[str, str | None], color: Color | None) -> None:
     for name, value in given.items():
         if value is not None and not screenshot:
             what = "says what a picture shows" if name == "view" else "is that of a picture"
             raise UsageError(f"--{name} {what}: give --screenshot FILE as well")
-    if color and not screenshot and other:
-        raise UsageError("--color is for a picture or the window: give --screenshot FILE as well")
+    if color and not screenshot:
+        raise UsageError("--color is for a picture: give --screenshot FILE as well")
     if color and given["view"] not in (None, "cloud"):
         raise UsageError(f"--color is that of the contacts in the view cloud: leave it out with --view {given['view']}")
 
@@ -152,7 +139,7 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
     if truth:
         raise UsageError("--against takes another surface in the place of the true body: leave out --truth and --hull")
     if movie:
-        raise UsageError("--against is for a picture, a page or the window: leave out --movie")
+        raise UsageError("--against is for a picture or a page: leave out --movie")
     if color or view not in (None, *WITH_OTHER):
         raise UsageError(f"--against compares surfaces: give the view {one_of(WITH_OTHER)}, and no --color")
 
@@ -181,7 +168,6 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
 
 
 def _recording_scene(path: Path) -> Any:
-    """The scene of a recording: its contacts, and their surface where they span a body."""
     from scan3d import pipeline
     from scan3d.files.recordings import read_recording
     from scan3d.pictures.scene import of_cloud

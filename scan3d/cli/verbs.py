@@ -13,14 +13,14 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d.choices import Export, Method, Model, ScalarNames
+from scan3d.choices import Export, Method, Model
 from scan3d.cli import one_sweep
 from scan3d.cli.options import File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
 from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
 from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
 from scan3d.errors import InputError, UsageError
 from scan3d.numbers import share
-from scan3d.settings import Settings, settings, varied_settings
+from scan3d.settings import Settings, settings
 from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
 # Settings of the demonstration: few slices, so that it takes some seconds, and what they leave unknown can be seen.
@@ -73,10 +73,10 @@ def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, out
     if not (output.json or output.quiet):
         page, place = printable(str(out / "view.html")), printable(str(out))
         drawn = {
-            f"scan3d show {place}": "the scan in a window",
+            f"scan3d show {place}": "the scan in the browser",
             f"scan3d show {place} --view compare": "a picture beside the true body",
         }
-        further = drawn if (out / "surface.png").exists() else {"scan3d doctor": "what windows and pictures need here"}
+        further = drawn if (out / "surface.png").exists() else {"scan3d doctor": "what pictures need here"}
         further |= {"scan3d scan part.stl --out out": "a scan of your own mesh"}
         print(f"\nOpen {page} in a browser. To go on with:")
         width = max(map(len, further))
@@ -295,14 +295,13 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: O
 
     from scan3d.comparison import compare as compare_meshes
     from scan3d.files.meshes import common_unit, read_mesh
-    from scan3d.report import comparison_summary
 
     in_unit = unit or common_unit(first, second)
     bodies = [read_mesh(path, in_unit) for path in (first, second)]
     comparison = compare_meshes(*bodies)
     if remark := unit_remark(*(body.extents for body in bodies)):
         say(remark)
-    return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, in_unit)))
+    return print_result(output, dataclasses.asdict(comparison), table("", comparison.summary(in_unit)))
 
 
 def export(
@@ -313,21 +312,19 @@ def export(
     what: Export | None = None,
     unit: Unit | None = None,
     color: Annotated[str | None, Parameter(metavar="SCALAR")] = None,
-    scalar_names: ScalarNames | None = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
     """Write the cloud or the surface in another format.
 
-    Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv, .glb and .mcap (a bag of ROS 2), surfaces to .stl, .ply, .obj, .vtp
-    and .glb. Unit, frame, normals and scalars are kept where the format can contain them.
-    .glb and .mcap are in metres, and .glb has y up.
+    Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv and .glb, surfaces to .stl, .ply, .obj, .vtp and .glb. Unit,
+    frame, normals and scalars are kept where the format can contain them. .glb is in metres, with y up.
 
     For example:
       scan3d export out --to egg.glb
       scan3d export out --to egg.vtp --what cloud
       scan3d export out/cloud.ply --to egg.pcd --unit m
-      scan3d export out --to egg.ply --color bound --scalar-names meshlab
+      scan3d export out --to egg.ply --color bound
 
     Parameters
     ----------
@@ -341,12 +338,10 @@ def export(
         unit of the lengths in the file, such as m for ROS (default: the recording's)
     color
         red, green and blue by a scalar, such as force or bound, which is written too
-    scalar_names
-        names of the scalars of a .ply that this program shows by itself
     """
     from scan3d.files.formats import export as export_shape
 
-    written = export_shape(source, to, what, unit=unit, color=color, scalar_names=scalar_names, overwrite=overwrite)
+    written = export_shape(source, to, what, unit=unit, color=color, overwrite=overwrite)
     shape = f"{written['points']} contacts"
     if written["what"] == "surface":
         shape = f"a surface of {written['points']} vertices and {written['faces']} faces"
@@ -374,14 +369,14 @@ def batch(
 
     For example:
       scan3d batch meshes --out study --jobs 2
-      scan3d batch 'parts/**/*.stl' @more.txt --out study --friction 0.0:0.4 --slices 32
+      scan3d batch 'parts/**/*.stl' --out study --friction 0.0:0.4 --slices 32
       scan3d batch egg.stl cube.stl --out study --grid grid.toml
       scan3d batch meshes --out study --scheduler tcp://node1:8786
 
     Parameters
     ----------
     mesh
-        mesh files, folders of them, patterns such as 'parts/*.stl', or @FILE with one of these in each line
+        mesh files, folders of them, or patterns such as 'parts/*.stl'
     out
         folder for the summary and for the results of each run
     jobs
@@ -400,34 +395,28 @@ def batch(
         if grid:
             raise UsageError("--print-config prints one setting; leave out --grid")
         return print_settings(dataclasses.asdict(options.chosen()))
-    from scan3d.batches import perform_batch, read_grid, scheduled
+    from scan3d.batches import batch as scan_batch
+    from scan3d.batches import scheduled
     from scan3d.workers import Workers
-
-    varied = [{}] if grid is None else read_grid(grid)
-    chosen = varied_settings(options.given(), varied, options.config, grid_source=str(grid))
-    start = time.monotonic()
-    with scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
-        done = perform_batch(
-            mesh,
-            out,
-            list(zip(varied, chosen, strict=True)),
-            executor,
-            inputs={"grid": grid, "file of settings": options.config},
-            overwrite=overwrite,
-            progress=_show_batch(output),
-            notify=output.progress.say,
-        )
-    return _batch_report(done, out, time.monotonic() - start, output)
-
-
-def _show_batch(output: Output) -> Any:
-    """Shows how many runs are finished."""
 
     def show(now: Any) -> None:
         failed = f", {now.failed} failed" if now.failed else ""
         output.progress.tell(f"{now.done}/{now.total} runs{failed}", now.done, now.total)
 
-    return show
+    start = time.monotonic()
+    with scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
+        done = scan_batch(
+            mesh,
+            out,
+            executor,
+            grid=grid,
+            config=options.config,
+            overwrite=overwrite,
+            progress=show,
+            notify=output.progress.say,
+            **options.given(),
+        )
+    return _batch_report(done, out, time.monotonic() - start, output)
 
 
 def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
@@ -463,7 +452,6 @@ def _figures(row: dict[str, Any]) -> str:
 def _scanned(
     mesh: Path, chosen: Settings, out: Path, overwrite: bool, output: Output, inputs: Any = None
 ) -> dict[str, Any]:
-    """The report of a scan, whose progress is shown."""
     from scan3d import pipeline
 
     progress = output.progress
@@ -481,7 +469,6 @@ def _scanned(
 
 
 def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> int:
-    """Print a report and its warnings; the exit code."""
     from scan3d.report import summary
 
     heading, rows = summary(data)
@@ -492,5 +479,4 @@ def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> in
 
 
 def _parts(chosen: Settings) -> str:
-    """What a simulation counts."""
     return "rounds" if chosen.model == "spatial" else "slices"

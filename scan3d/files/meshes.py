@@ -19,27 +19,9 @@ from scan3d.errors import InputError
 from scan3d.files.gltf import read_glb
 from scan3d.files.mesh_text import is_binary_stl, plain, text_stl
 from scan3d.files.reading import check_file
-from scan3d.geometry.convexity import (
-    DENT_TOLERANCE,
-    deepest_dent,
-    is_convex,
-    judged_convex,
-    outward_faces,
-    outward_hull,
-    runs_both_ways,
-    turned_alike,
-)
+from scan3d.geometry import convexity, triangles
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.triangles import (
-    areas,
-    collapsed,
-    distance_of_readers,
-    distinct_rows,
-    representatives,
-    without_unused,
-)
 from scan3d.numbers import share
-from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
@@ -50,8 +32,8 @@ OPEN_TOLERANCE = 1e-3
 # What scan3d writes on the unit at the beginning of a PLY, an STL or an OBJ, and how many bytes are searched for it.
 _UNIT = re.compile(rb"(?m)(?:scan3d surface\W+|^comment )unit (%s)\b" % "|".join(UNITS_M).encode())
 _HEAD = 1 << 12
-# Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
-_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
+# Memory while a mesh is read, per byte of its file.
+_MEMORY_PER_BYTE = 10
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "mm") -> trimesh.Trimesh:
@@ -96,7 +78,7 @@ def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
     `load_mesh`.
     """
     bounding_box(mesh, "body")
-    if mesh.metadata.get("geometry_sha256") == _geometry(mesh) and not (hull and not is_convex(mesh)):
+    if mesh.metadata.get("geometry_sha256") == _geometry(mesh) and not (hull and not convexity.is_convex(mesh)):
         return mesh
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     body = _judged("the mesh", *_merged(vertices, faces), hull)
@@ -118,8 +100,8 @@ def _geometry(mesh: trimesh.Trimesh) -> str:
 
 def _merged(vertices: Array, faces: Index) -> tuple[Array, Index]:
     """The distinct vertices (v, 3) of faces (t, 3), in a fixed order, and the faces by their numbers."""
-    used, faces = without_unused(faces)
-    first, number = distinct_rows(vertices[used])
+    used, faces = triangles.without_unused(faces)
+    first, number = triangles.distinct_rows(vertices[used])
     return vertices[used[first]], number[faces]
 
 
@@ -137,23 +119,31 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
     diagonal = float(extent * np.linalg.norm((high - low) / extent))  # squares of very small numbers would vanish
     center = low + (high - low) / 2
     points = (vertices - center) / diagonal
-    thickness = _thickness(points)
+    centered = points - points.mean(axis=0)
+    across = np.linalg.eigh(centered.T @ centered)[1][:, 0]
+    thickness = float(np.ptp(centered @ across))  # across the plane that fits best
     if thickness < FLAT:
         _check_digits(name, vertices, scale, thickness * diagonal)
-    _check_thickness(name, thickness, diagonal)
+        raise InputError(
+            f"{name} is flat: it is {thickness * diagonal:.3g} thick, in the unit of the mesh ({thickness:.2g} of its "
+            f"diagonal, where at least {FLAT:g} is needed); check that the file holds a solid body"
+        )
 
     outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
-    hollow = not hull and dent > DENT_TOLERANCE
+    hollow = not hull and dent > convexity.DENT_TOLERANCE
     if hollow:
         _check_digits(name, vertices, scale, dent * diagonal)
         body = _closed(name, vertices, faces)
     else:
-        if not hull:
-            _check_covered(name, covered)
-        used, facets = without_unused(outer)
+        if not hull and (bare := 1 - covered) > OPEN_TOLERANCE:
+            raise InputError(
+                f"{name} is open: {share(bare)} of its convex hull has no surface, where a closed body is expected; "
+                "close it, or to scan its convex hull give --hull (hull=True)"
+            )
+        used, facets = triangles.without_unused(outer)
         body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
-    judged_convex(body, not hollow)
+    convexity.judged_convex(body, not hollow)
     body.metadata.update(
         file_faces=len(faces),
         dent=dent * diagonal,
@@ -161,7 +151,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
         hull=hull,
         geometry_sha256=_geometry(body),
     )
-    is_dented, is_open = bool(dent > DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
+    is_dented, is_open = bool(dent > convexity.DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
     if not hollow and (is_dented or is_open):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         filled = {
@@ -178,23 +168,16 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
 def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
     """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
     where they are deepest (3,), and the fraction of its area that they cover."""
-    facets = outward_faces(points, faces)
+    facets = convexity.outward_faces(points, faces)
     if facets is not None:
         return facets, 0.0, points[0], 1.0
-    outer = outward_hull(points)
-    dent, deepest = deepest_dent(points[faces], outer)
-    distinct = distinct_rows(np.sort(faces, axis=1))[0]  # those with the same vertices as another one count once
-    covered = float(areas(points[faces[distinct]]).sum() / areas(points[outer.facets]).sum())
+    outer = convexity.outward_hull(points)
+    dent, deepest = convexity.deepest_dent(points[faces], outer)
+    distinct = triangles.distinct_rows(np.sort(faces, axis=1))[
+        0
+    ]  # those with the same vertices as another one count once
+    covered = float(triangles.areas(points[faces[distinct]]).sum() / triangles.areas(points[outer.facets]).sum())
     return outer.facets, dent, deepest, covered
-
-
-def _check_thickness(name: str, thickness: float, diagonal: float) -> None:
-    """Raises InputError for a flat body; `thickness` is relative to the diagonal of the bounding box."""
-    if thickness < FLAT:
-        raise InputError(
-            f"{name} is flat: it is {thickness * diagonal:.3g} thick, in the unit of the mesh ({thickness:.2g} of its "
-            f"diagonal, where at least {FLAT:g} is needed); check that the file holds a solid body"
-        )
 
 
 def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None:
@@ -203,7 +186,9 @@ def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None
     largest = float(np.abs(in_file).max())
     with np.errstate(all="ignore"):  # beyond the range of float32
         single, step = in_file.astype(np.float32), float(np.spacing(np.float32(largest)))
-    is_coarse = step > DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
+    is_coarse = (
+        step > convexity.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
+    )
     if is_coarse and np.abs(single - in_file).max() <= 1e-12 * largest:
         raise InputError(
             f"{name} has lost its shape in float32, whose numbers are {step:.2g} apart at its coordinates of up to "
@@ -217,12 +202,15 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
     Where edges are not those of a closed surface, vertices are merged that agree in float32, as exports leave them at seams,
     and faces are turned as their neighbours.  Raises InputError if the surface stays open.
     """
-    attempts = [np.arange(len(vertices)), representatives(vertices, 2 * distance_of_readers(vertices))]
+    attempts = [
+        np.arange(len(vertices)),
+        triangles.representatives(vertices, 2 * triangles.distance_of_readers(vertices)),
+    ]
     for chosen in attempts:
-        used, kept = without_unused(collapsed(faces, chosen))
-        kept = turned_alike(kept)
+        used, kept = triangles.without_unused(triangles.collapsed(faces, chosen))
+        kept = convexity.turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
-        if len(kept) and runs_both_ways(kept):
+        if len(kept) and convexity.runs_both_ways(kept):
             if body.volume < 0:
                 body.invert()
             return body
@@ -238,16 +226,6 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
         f"{name} is open: {len(alone)} of its {len(edges)} edges belong to one face only, such as that at ({place}), where a "
         "closed body is expected; close it, or to scan its convex hull give --hull (hull=True)"
     )
-
-
-def _check_covered(name: str, covered: float) -> None:
-    """Raises InputError for an open body, whose surface covers only a fraction of the area of its hull."""
-    bare = 1 - covered
-    if bare > OPEN_TOLERANCE:
-        raise InputError(
-            f"{name} is open: {share(bare)} of its convex hull has no surface, where a closed body is expected; "
-            "close it, or to scan its convex hull give --hull (hull=True)"
-        )
 
 
 def read_mesh(path: str | os.PathLike[str], unit: str | None = None) -> trimesh.Trimesh:
@@ -288,8 +266,6 @@ def common_unit(*paths: Path) -> str:
 
 def _read(path: Path) -> bytes:
     """The bytes of a mesh file.  Raises InputError if they can't be read, or if its ending is not one of `FORMATS`."""
-    if "\0" in str(path):
-        raise InputError("the name of a mesh file has a null character; check the path")
     if path.is_dir():
         raise InputError(f"{path.name or path} is a folder, where a mesh file is expected; name a file in it")
     if not path.exists():
@@ -332,14 +308,9 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
             f"{path.name} is cut off: it declares {declared} faces and holds {held}; export or download it again"
         )
     if held == 0:
-        if kind == "ply" and re.search(rb"^element tristrips ", data.partition(b"end_header")[0], re.MULTILINE):
-            raise InputError(
-                f"{path.name} has strips of triangles (its element tristrips), where single triangles are expected; "
-                "export the body as a triangle mesh, with faces instead of strips"
-            )
         raise InputError(
-            f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, cut off, damaged, or not a "
-            f"{kind.upper()} file; export the body as a triangle mesh"
+            f"{path.name} has no triangles, where a surface is expected: it has points or strips only, is cut off, damaged, or "
+            f"not a {kind.upper()} file; export the body as a triangle mesh"
         )
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     faces = np.concatenate([faces + before for before, (_, faces) in zip(first, meshes, strict=False)])
@@ -370,16 +341,7 @@ def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
         parts = [part for part in raw.get("geometry", {"mesh": raw}).values() if part.get("faces") is not None]
         bodies = [trimesh.Trimesh(part["vertices"], part["faces"], process=False) for part in parts]  # of triangles
         meshes = [(scale * np.asarray(body.vertices), np.asarray(body.faces)) for body in bodies]
-    count = sum(len(faces) for _, faces in meshes)
-    check_memory(_MEMORY_PER_FACE * count, f"a mesh of {count} triangles", "take a coarser mesh")
     for vertices, faces in meshes:
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise IndexError("a face has a vertex that does not exist")
     return meshes
-
-
-def _thickness(points: Array) -> float:
-    """Extent of points (n, 3) across the plane that fits them best."""
-    centered = points - points.mean(axis=0)
-    across = np.linalg.eigh(centered.T @ centered)[1][:, 0]
-    return float(np.ptp(centered @ across))

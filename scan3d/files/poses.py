@@ -1,4 +1,4 @@
-"""Files of poses: a CSV file with the columns `COLUMNS`, or a YAML file in the manner of ROS, and a TOML file beside it.
+"""Files of poses: a CSV file with the columns `COLUMNS`, and a TOML file beside it.
 
 The TOML file has the rod, the speed, and how the poses were planned.  Of a simulated rig that goes through the poses, an
 exact log is a recording with times and moves, one with faults a table with a map for import.
@@ -28,74 +28,30 @@ from scan3d.units import UNITS_M
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
 KIND = "plan of poses"
 """What the TOML file beside a list of poses says of its source."""
-_YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
 
 
 def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None) -> None:
     """Raise InputError unless poses may be written at the path: its ending, and files that are something else."""
     path = Path(path)
-    if path.suffix not in (".csv", ".yaml"):
-        raise InputError(f"poses are written as .csv, or as .yaml in the manner of ROS, got {path.name!r}")
+    if path.suffix != ".csv":
+        raise InputError(f"poses are written as .csv, got {path.name!r}")
     check_pair(path, sidecar(path), inputs or {}, overwrite, kind=KIND)
 
 
-def write_poses(poses: PoseList, path: str | Path) -> None:
-    """Write a list of poses, as its file ending says, with its TOML file; numbers of a .csv have all digits.
+def write_poses(poses: PoseList, path: str | Path, *, empty: bool = False) -> None:
+    """Write a list of poses with its TOML file; numbers have all digits.
 
-    Raises InputError if they can't be written.
+    `empty` writes the header only, where nothing is left to be swept.  Raises InputError if they can't be written.
     """
     path = Path(path)
     columns = [poses.sweep, *poses.position_m.T, *poses.quaternion.T, np.array(MOVES)[poses.move]]
-    _write(path, to_yaml(poses) if path.suffix == ".yaml" else header() + rows_as_text(columns).decode(), poses)
-
-
-def write_header(poses: PoseList, path: str | Path) -> None:
-    """Write a list without poses, where nothing is left to be swept; its TOML file is that of `poses`."""
-    path = Path(path)
-    _write(path, _YAML_HEADER + "points: []\n" if path.suffix == ".yaml" else header(), poses)
-
-
-def _write(path: Path, text: str, poses: PoseList) -> None:
-    meta: dict[str, Any] = {"schema": SCHEMA, "unit": poses.unit}
-    meta |= {"model": poses.model, "speed_m_s": poses.speed_m_s}
+    rows = b"" if empty else rows_as_text(columns)
+    meta: dict[str, Any] = {"schema": SCHEMA, "unit": poses.unit, "model": poses.model, "speed_m_s": poses.speed_m_s}
     if poses.rod is not None:
         meta["rod"] = rod_section(poses.rod)
     meta["source"] = {**poses.source, "kind": KIND}
-    write_together(path, {sidecar(path).name: to_toml(meta).encode(errors="replace"), path.name: text.encode()})
-
-
-def header() -> str:
-    """The first line of a .csv of poses."""
-    return ",".join(COLUMNS) + "\n"
-
-
-def to_yaml(poses: PoseList) -> str:
-    """The poses as points with times, named as in trajectory_msgs/JointTrajectory and geometry_msgs/PoseStamped of ROS 2."""
-    names = dict(enumerate(MOVES))
-    lines = [f"{_YAML_HEADER}points:"]
-    numbers = zip(poses.position_m.tolist(), poses.quaternion.tolist(), strict=True)
-    for (position, turn), time, sweep, move in zip(
-        numbers, poses.times().tolist(), poses.sweep.tolist(), poses.move.tolist(), strict=True
-    ):
-        seconds, rest = divmod(round(time * 10**9), 10**9)
-        x, y, z = map(_yaml_number, position)
-        w, *vector = map(_yaml_number, turn)
-        lines += [
-            "- pose:",
-            f"    position: {{x: {x}, y: {y}, z: {z}}}",
-            f"    orientation: {{x: {vector[0]}, y: {vector[1]}, z: {vector[2]}, w: {w}}}",
-            f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
-            f"  sweep: {sweep}",
-            f"  move: {names[move]}",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _yaml_number(value: float) -> str:
-    """A number with all digits that every YAML reader takes for one: those of YAML 1.1 want a point before the exponent."""
-    text = repr(value)
-    mantissa, exponent, power = text.partition("e")
-    return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
+    beside = to_toml(meta).encode(errors="replace")
+    write_together(path, {sidecar(path).name: beside, path.name: f"{','.join(COLUMNS)}\n".encode() + rows})
 
 
 def read_poses(path: str | Path) -> PoseList:

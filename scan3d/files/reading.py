@@ -12,7 +12,7 @@ import math
 import os
 import stat
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -47,15 +47,6 @@ def read_small(path: Path) -> str:
     return path.read_text(encoding="utf-8-sig")
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """The contents of a TOML file.  Raises OSError, InputError as `check_file`, and ValueError for what is not TOML."""
-    text = read_small(Path(path))
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise ValueError("its lists are nested too deeply") from None
-
-
 def to_float(value: float) -> float:
     """A number as a float; a whole number too large for one is infinite, as a decimal number is."""
     try:
@@ -64,14 +55,15 @@ def to_float(value: float) -> float:
         return float("inf") if value > 0 else float("-inf")
 
 
-def did_you_mean(unknown: Iterable[str], known: Iterable[str], mark: str = "") -> str:
-    """The last clause of a message on unknown names: the known ones that they resemble, or an empty string.
-
-    `mark` is what stands before all names, such as the hyphens of options.
-    """
-    known = list(known)
-    near = [mark + match for name in unknown for match in get_close_matches(name, known, n=1)]
+def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """The last clause of a message on unknown names: the known ones that they resemble, or an empty string."""
+    near = [match for name in unknown for match in get_close_matches(name, list(known), n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
+
+
+def is_finite(value: Any) -> bool:
+    """Whether a value of a TOML file is a finite number."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(to_float(value))
 
 
 T = TypeVar("T")
@@ -120,12 +112,14 @@ class Section:
         self._asked[key] = None
         return self.data.get(key, default)
 
-    def _value(self, key: str, default: Any, what: str = "") -> Any:
-        """The value of an entry, or its default.  Raises InputError if it has neither."""
+    def _value(self, key: str, default: Any, what: str, is_right: Callable[[Any], bool]) -> Any:
+        """The value of an entry, or its default.  Raises InputError if it has neither, and for one that is not right."""
         value = self.any(key, default)
         if value is REQUIRED:
             others = [name for name in self.data if name not in self._asked]
-            raise self.error(key, f"is missing{what}{did_you_mean([key], others)}")
+            raise self.error(key, f"is missing{did_you_mean([key], others)}")
+        if key in self.data and not is_right(value):
+            raise self.error(key, f"must be {what}, got {value!r}")
         return value
 
     def notes(self, key: str) -> Mapping[str, Any]:
@@ -143,13 +137,9 @@ class Section:
     def _path(self, key: str) -> str:
         return f"{self.name}.{key}" if self.name else key
 
-    def text(self, key: str, default: str | T = REQUIRED) -> str | T:
-        value = self._value(key, default)
-        if key not in self.data:
-            return default
-        if not isinstance(value, str):
-            raise self.error(key, f"must be text, got {value!r}")
-        return value
+    def text(self, key: str, default: str = REQUIRED) -> str:
+        """A text."""
+        return str(self._value(key, default, "text", lambda value: isinstance(value, str)))
 
     def word(self, key: str, words: Sequence[str], default: str | None = None) -> str:
         """One of some words; by default the first of them."""
@@ -160,10 +150,8 @@ class Section:
         return str(value)
 
     def boolean(self, key: str, default: bool = REQUIRED) -> bool:
-        value = self._value(key, default)
-        if not isinstance(value, bool):
-            raise self.error(key, f"must be true or false, got {value!r}")
-        return value
+        """True or false."""
+        return bool(self._value(key, default, "true or false", lambda value: isinstance(value, bool)))
 
     def number(
         self,
@@ -175,20 +163,14 @@ class Section:
         below: float = math.inf,
     ) -> float | T:
         """A finite number in a range; a default may lie outside."""
-        value = self._value(key, default)
-        if key not in self.data:
-            return default
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(key, f"must be a number, got {value!r}")
-        number = to_float(value)
-        if not (math.isfinite(number) and above < number < below and number >= at_least):
-            bounds = [
-                f"{word} {bound:g}"
-                for word, bound in (("above", above), ("of at least", at_least), ("below", below))
-                if math.isfinite(bound)
-            ]
-            raise self.error(key, f"must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}")
-        return number
+        limits = (("above", above), ("of at least", at_least), ("below", below))
+        bounds = " and ".join(f"{word} {bound:g}" for word, bound in limits if math.isfinite(bound))
+
+        def is_right(given: Any) -> bool:
+            return is_finite(given) and above < given < below and given >= at_least
+
+        value = self._value(key, default, f"a finite number {bounds}".rstrip(), is_right)
+        return to_float(value) if key in self.data else value
 
     def table(self, key: str, default: T) -> float | tuple[tuple[float, ...], ...] | T:
         """A number, or a table of rows of numbers, which who takes it checks."""
@@ -200,33 +182,29 @@ class Section:
         return tuple(map(tuple, value))
 
     def integer(self, key: str, default: int | T = REQUIRED, *, at_least: int) -> int | T:
-        value = self._value(key, default)
-        if key not in self.data:
-            return default
-        if isinstance(value, bool) or not isinstance(value, int) or value < at_least:
-            raise self.error(key, f"must be a whole number of at least {at_least}, got {value!r}")
-        return value
+        """A whole number."""
+        what = f"a whole number of at least {at_least}"
+        found: int | T = self._value(key, default, what, lambda value: type(value) is int and value >= at_least)
+        return found
 
     def numbers(self, key: str, count: int, default: T = REQUIRED) -> tuple[float, ...] | T:
         """A list of so many finite numbers."""
-        value = self._value(key, default)
-        if key not in self.data:
-            return default
-        right = isinstance(value, (list, tuple)) and len(value) == count
-        right = right and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value)
-        if not right or not all(math.isfinite(to_float(x)) for x in value):
-            raise self.error(key, f"must be a list of {count} finite numbers, got {value!r}")
-        return tuple(map(to_float, value))
+
+        def is_right(given: Any) -> bool:
+            return isinstance(given, (list, tuple)) and len(given) == count and all(map(is_finite, given))
+
+        value = self._value(key, default, f"a list of {count} finite numbers", is_right)
+        return tuple(map(to_float, value)) if key in self.data else value
 
     def texts(self, key: str, count: int | None = None) -> tuple[str, ...]:
         """A list of texts; empty if there is no such entry."""
-        value = self.any(key)
-        if value is None:
-            return ()
-        right = isinstance(value, (list, tuple)) and count in (None, len(value))
-        if not right or not all(isinstance(x, str) for x in value):
-            raise self.error(key, f"must be a list of {'' if count is None else f'{count} '}names, got {value!r}")
-        return tuple(value)
+        what = f"a list of {'' if count is None else f'{count} '}names"
+
+        def is_right(given: Any) -> bool:
+            right = isinstance(given, (list, tuple)) and count in (None, len(given))
+            return right and all(isinstance(one, str) for one in given)
+
+        return tuple(self._value(key, (), what, is_right))
 
 
 def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name: str = "") -> Section:
@@ -236,12 +214,12 @@ def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name
     """
     path = Path(path)
     try:
-        return Section(name or path.name, read_toml(path))
+        return Section(name or path.name, tomllib.loads(read_small(path)))
     except OSError as error:
         raise InputError(f"can't read the {what} {path}: {error.strerror or error}{advice}") from None
     except InputError:
         raise
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{name or path.name} is not a TOML file: {error}") from None
 
 

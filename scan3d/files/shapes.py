@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
-from scan3d.choices import SCALAR_NAMES
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.reading import check_file
@@ -61,7 +60,6 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
 
 
 def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
-    """Parse the bytes of a PLY file.  Raises ValueError with a description of the error."""
     end = data.find(b"\nend_header\n", 0, 1 << 16)  # a large file that is no PLY is not searched further
     if not data.startswith(b"ply\n") or end < 0:
         raise ValueError("it lacks the header from 'ply' to 'end_header'")
@@ -106,7 +104,7 @@ def _ply_count(lines: list[list[str]], name: str) -> int:
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
-LENGTHS = ("quality", "bound", "place_sd", "distance")
+LENGTHS = ("quality", "bound", "place_sd")
 """Scalars that are lengths, in the unit of the file."""
 
 
@@ -289,29 +287,3 @@ def colored(shape: Shape, scalar: str | None) -> Shape:
     columns |= dict(zip(COLOR, rgb.T, strict=True)) | shape.columns
     note = f"colour {scalar} from {low:.6g} to {high:.6g}, viridis"
     return replace(shape, rows=table(columns), notes=(*shape.notes, note))
-
-
-def named_for(shape: Shape, program: str | None, scalar: str | None = None) -> Shape:
-    """The shape with scalars by the names that a program knows, one of `choices.SCALAR_NAMES`; None keeps them.
-
-    MeshLab shows one scalar, ``quality``: it becomes a copy of `scalar`, by default the force of a cloud and the bound of a
-    surface, and the column that had this name is then called ``distance``.  CloudCompare recognises scalars whose names begin
-    with ``scalar_``.  Raises InputError for another program, and for a scalar that the shape does not have.
-    """
-    if program is None:
-        return shape
-    if program not in SCALAR_NAMES:
-        raise InputError(f"names of scalars are known for {' and '.join(SCALAR_NAMES)}, got {program!r}")
-    spatial = {name: shape.rows[name] for name in shape.rows.dtype.names or () if name not in shape.columns}
-    if program == "cloudcompare":
-        return replace(
-            shape, rows=table(spatial | {f"scalar_{name}": values for name, values in shape.columns.items()})
-        )
-    shown = scalar or {"cloud": "force", "surface": "bound"}[shape.what]
-    if shown not in shape.columns:
-        raise InputError(
-            f"there is no {shown!r} for MeshLab to show; name one of {', '.join(shape.columns) or 'none'} with --color"
-        )
-    others = {"distance" if name == "quality" else name: values for name, values in shape.columns.items()}
-    # MeshLab reads it as a floating-point number only
-    return replace(shape, rows=table(spatial | {"quality": shape.columns[shown].astype(np.float64)} | others))

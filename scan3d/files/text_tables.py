@@ -28,8 +28,8 @@ from scan3d.units import unit_of_cell
 
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 8
-# Lines at the beginning of a table in which its names and its first data are looked for, and rows that are read at once.
-_LOOKED_AT, _AT_ONCE = 100, 10_000
+# Lines at the beginning of a table in which its names and its first data are looked for.
+_LOOKED_AT = 100
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
@@ -281,42 +281,27 @@ def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str]
 
 def _parsed(name: str, text: str, head: Head) -> Table:
     """The rows below the head of a text table."""
-    layout, count = head.layout, len(head.names)
-    numbered = islice(enumerate(io.StringIO(text, newline=None), 1), head.first - 1, None)
-    numbers: list[int] = []
-    parts: list[list[Any]] = []
-    is_text: list[bool] = []
-    wrong: dict[int, tuple[int, str]] = {}
-    while some := list(islice(numbered, _AT_ONCE)):
-        some = [(number, line) for number, line in some if layout.holds(line)]
-        if not some:
-            continue
-        lines = [line for _, line in some]
-        columns: Sequence[Any] | None = None if any(is_text) else _all_numbers(lines, layout)
-        if columns is None or len(columns) != (count or len(columns)):
-            columns = _cells(name, [number for number, _ in some], lines, layout, count)
-        count = len(columns)
-        if not parts:
-            is_text = [not isinstance(cells, np.ndarray) and _is_text(cells, layout) for cells in columns]
-            parts = [[] for _ in columns]
-        for k, cells in enumerate(columns):
-            if is_text[k]:
-                parts[k].extend(cells)
-                continue
-            values, bad = (cells, None) if isinstance(cells, np.ndarray) else _numbers(cells, layout.decimal)
-            parts[k].append(values)
-            if bad is not None:
-                wrong.setdefault(k, (len(numbers) + bad[0], bad[1]))
-        numbers += [number for number, _ in some]
-    if not parts and layout is not _OURS:
-        raise InputError(f"{name} has no row of data below line {head.first - 1}; expected one row per sample")
-    parts = parts or [[np.empty(0)] for _ in head.names]
-    is_text = is_text or [False for _ in head.names]
-    joined: list[NDArray[Any]] = [
-        np.array(part, dtype=object) if words else np.concatenate(part)
-        for part, words in zip(parts, is_text, strict=True)
+    layout, wrong = head.layout, {}
+    held = [
+        (number, line)
+        for number, line in enumerate(io.StringIO(text, newline=None), 1)
+        if number >= head.first and layout.holds(line)
     ]
-    return Table(name, head.names, tuple(joined), head.units, layout, np.array(numbers), wrong)
+    if not held and layout is not _OURS:
+        raise InputError(f"{name} has no row of data below line {head.first - 1}; expected one row per sample")
+    numbers, lines = [number for number, _ in held], [line for _, line in held]
+    columns: Sequence[NDArray[Any]] | None = _all_numbers(lines, layout) if lines else [np.empty(0)] * len(head.names)
+    if columns is None or len(columns) != (len(head.names) or len(columns)):
+        columns = []
+        for k, cells in enumerate(_cells(name, numbers, lines, layout, len(head.names))):
+            if not layout.is_number(next((cell for cell in cells if cell.strip()), "0")):  # a column of text
+                columns.append(np.array(cells, dtype=object))
+                continue
+            values, bad = _numbers(cells, layout.decimal)
+            columns.append(values)
+            if bad is not None:
+                wrong[k] = bad
+    return Table(name, head.names, tuple(columns), head.units, layout, np.array(numbers, dtype=np.int64), wrong)
 
 
 def _all_numbers(lines: Sequence[str], layout: Layout) -> Sequence[Array] | None:
@@ -347,11 +332,6 @@ def _cells(
         if len(row) != count:
             raise InputError(_wrong_count(name, number, len(row), count, layout))
     return list(zip(*rows, strict=True))
-
-
-def _is_text(cells: Sequence[str], layout: Layout) -> bool:
-    """Whether a column holds text, by its first cell that is not empty."""
-    return not layout.is_number(next((cell for cell in cells if cell.strip()), "0"))
 
 
 def _wrong_count(name: str, number: int, found: int, count: int, layout: Layout) -> str:
@@ -398,7 +378,6 @@ def guessed_head(lines: Sequence[str], layout: Layout) -> Head:
 
 
 def _is_any_number(cell: str) -> bool:
-    """Whether a cell is a number with either decimal sign."""
     return any(Layout(decimal=sign).is_number(cell) for sign in ".,")
 
 

@@ -377,7 +377,6 @@ def unchanged(place: Path, kind: Kind = SCAN) -> set[str]:
 
 
 def _has_sha256(path: Path, stated: str | None) -> bool:
-    """Whether a file exists and has the SHA-256, if that is stated."""
     try:
         return path.is_file() and stated in (None, sha256(path))
     except OSError:

@@ -97,13 +97,6 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     )
 
 
-def two_sided_distance(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> float:
-    """The largest of the lower bounds of `one_sided_distances`, in less time if all bodies are convex (`exact`)."""
-    if exact:
-        return _at_vertices(pairs)[1]
-    return max(side.lower for side in one_sided_distances(pairs, exact))
-
-
 def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> list[Side]:
     """The one-sided distances from each pair's source to its target; if all bodies are convex (`exact`), the larger one of the
     distances has equal bounds."""

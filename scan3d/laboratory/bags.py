@@ -91,7 +91,6 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
 
 
 def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
-    """The topic that is given, or the only one of a kind."""
     found = sorted({c.topic for c in reader.connections if c.msgtype.split("/")[-1] == kind})
     if given:
         given = given if given in found else f"/{given.lstrip('/')}"  # also without the first slash

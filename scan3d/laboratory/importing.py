@@ -7,7 +7,7 @@ frame and moved to the clamp; the log is cut into sweeps, and the noise is state
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,6 +167,8 @@ def convert(table: Table, map: Map) -> Imported:
     except InputError as error:
         for note in _other_frame(None, table, map):
             raise InputError(f"{error}; or {note}") from None
+        if words := next((words for words, other in _other_readings(map) if _converts(table, other)), ""):
+            raise InputError(f"{error}; all would be right if {words}") from None
         raise
     notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
     return replace(imported, summary=replace(imported.summary, notes=notes))
@@ -182,7 +184,8 @@ def _converted(table: Table, map: Map) -> Imported:
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise[0])
     touched = felt(sensed.wrench[:, :3], noise[0], 0.05)  # a part that only contact has
-    notes = [*sensed.notes, *check_directions(table, map, sweep, position, quaternion, touched), *notes]
+    check_directions(map, table.name, sweep, position, quaternion, touched)
+    notes = [*sensed.notes, *notes]
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
         quaternion[backwards] = _HALF_TURN.carried(position[backwards], quaternion[backwards])[1]
@@ -219,7 +222,7 @@ def _converted(table: Table, map: Map) -> Imported:
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         noise_factor=sensed.factor,
-        notes=(*notes, *_rate_notes(map, sensed.rate, every), *_contact_notes(wrench[kept], touching, known, map)),
+        notes=(*notes, *_contact_notes(wrench[kept], touching, known, map)),
     )
     return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
 
@@ -254,7 +257,6 @@ class _Sensed(NamedTuple):
 
 
 def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
-    """The wrench of a log without the sensor's zero."""
     none, calm = np.zeros(len(log), dtype=bool), np.ones(len(log), dtype=bool)
     step = np.diff(clock)
     run = np.append(0, np.cumsum(step > 1.5 * np.median(step)))
@@ -280,7 +282,6 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
 
 
 def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sensed:
-    """The wrench of a log without the zero of its stretches in the air."""
     air = tare(log.wrench, clock, stretches)
     wrench = log.wrench - air.zero
     # rows in which all channels are no more than rounding would count as forces
@@ -291,7 +292,6 @@ def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sens
 
 
 def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
-    """The wrench without what is faster than the low-pass of the map, if there is one."""
     if not (map.lowpass_hz or map.rate_hz):
         return sensed
     if log.time_s is None:
@@ -373,15 +373,18 @@ def _recording(
     wrench: Array,
     known: Mask,
 ) -> Recording:
-    force, moment = wrench[:, :3], wrench[:, 3:]
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
-    recording = Recording(
+    z, x, y = wrench[:, 2:5].T if known.all() else (None, None, None)
+    return Recording(
         sweep=sweep,
         position_m=position,
         quaternion=quaternion,
-        force_N=force[:, :2],
-        moment_Nm=moment[:, 2],
+        force_N=wrench[:, :2],
+        moment_Nm=wrench[:, 5],
         rod=map.rod,
+        force_z_N=z,
+        moment_x_Nm=x,
+        moment_y_Nm=y,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         noise_pose_m=map.noise_pose_m or 0.0,
@@ -390,9 +393,6 @@ def _recording(
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
         rig=map.uncertainty,
     )
-    if not known.all():
-        return recording
-    return replace(recording, force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
 
 
 def _speed(recording: Recording, clock: Array) -> float:
@@ -404,7 +404,6 @@ def _speed(recording: Recording, clock: Array) -> float:
 
 
 def _check_range(position_m: Array, map: Map, table: str) -> None:
-    """Raise InputError if the clamp hardly moves, for the length of the rod."""
     reach = float(np.ptp(position_m, axis=0).max()) / map.rod.length_m
     if reach < 0.02:
         raise InputError(
@@ -478,22 +477,33 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
     )
 
 
-def _rate_notes(map: Map, rate: float | None, every: int) -> list[str]:
-    """What filter and rate do to the noise, if every so many rows of a table with a given rate in Hz are kept."""
-    if rate is None or not map.lowpass_hz:
-        return []
-    left = rate / every
-    if left > 4 * map.lowpass_hz:
-        return [
-            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} "
-            f"Hz; rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
-        ]
-    if left < 2 * map.lowpass_hz:
-        return [
-            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to "
-            f"{map.lowpass_hz:g} Hz pass"
-        ]
-    return []
+def _converts(table: Table, map: Map) -> bool:
+    try:
+        _converted(table, map)
+    except InputError:
+        return False
+    return True
+
+
+def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
+    """Other ways to read the orientation, with the words for them."""
+    orientation = map.columns.orientation
+
+    def changed(**fields: Any) -> Map:
+        return replace(map, columns=replace(map.columns, orientation=replace(orientation, **fields)))
+
+    if orientation.kind == "quaternion":
+        other, place = ("xyzw", "last") if orientation.order == "wxyz" else ("wxyz", "first")
+        yield f'qw is the {place} of the four columns, order = "{other}"', changed(order=other)
+    else:
+        unit, factor = ("rad", 1.0) if map.factors["angle"] != 1 else ("deg", np.pi / 180)
+        turned = replace(map, factors={**map.factors, "angle": factor})
+        yield f'the angles are in {unit}, angle = "{unit}" under [units]', turned
+    if orientation.kind == "euler":
+        convention = orientation.convention
+        for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
+            if other != convention:
+                yield f'the convention is "{other}"', changed(convention=other)
 
 
 def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[str]:

@@ -76,8 +76,19 @@ def read_log(table: Table, map: Map) -> Log:
         sweep=None if sweep is None else sweep[row],
         row=row,
     )
-    _check_time(log, table)
-    _check_wrench(log, table, map)
+    if log.time_s is not None and len(log) > 1:
+        _check_order(log.time_s, log.row, table)
+        if not np.diff(log.time_s).any():
+            raise InputError(
+                f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
+            )
+    for name, part in (("force", log.wrench[:, :3]), ("moment", log.wrench[:, 3:])):
+        if not part.any():
+            entry = "signals" if columns.signals else name
+            raise InputError(
+                f"{table.name}: the {name} is zero in all {len(log)} rows: nothing was measured; check [columns] {entry} of "
+                f"{map.name}, and the sensor"
+            )
     return log
 
 
@@ -125,7 +136,6 @@ def _entry(map: Map, entry: str) -> str:
 
 
 def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int, float]:
-    """The column of a reference and its sign."""
     where, names = _entry(map, entry), table.names
     if isinstance(reference, int):
         if reference > len(table.columns):
@@ -133,28 +143,23 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
                 f"{table.name} has {len(table.columns)} columns, and {where} names column {reference}; correct the map"
             )
         return reference - 1, 1.0
-    if not reference:
-        raise InputError(f"{where} must name a column, or be left out")
     if not names:
         raise InputError(
             f"{table.name} has no line with names, and {where} names {reference!r}; give the number of the column, from 1, or "
             "the line of the names as header under [table]"
         )
-    bare, sign = reference, 1.0
-    if reference.startswith("-") and reference not in names:
-        bare, sign = reference[1:], -1.0
+    bare, sign = (reference[1:], -1.0) if reference.startswith("-") and reference not in names else (reference, 1.0)
     found = [k for k, name in enumerate(names) if name == bare] or _matching(names, bare)
     if len(found) == 1:
         return found[0], sign
-    header = table.layout.header if table.layout else None
-    line = f"{table.name}: line {header}" if header else table.name
+    line = f"{table.name}: line {table.layout.header}" if table.layout and table.layout.header else table.name
     if found:
+        numbers = ", ".join(str(k + 1) for k in found)
         raise InputError(
-            f"{line} has {len(found)} columns {reference!r} (numbers {', '.join(str(k + 1) for k in found)}), where {where} "
-            "means one; give its number"
+            f"{line} has {len(found)} columns {reference!r} (numbers {numbers}), where {where} means one; give its number"
         )
     listed = ", ".join([*names[:30], *["..."] * (len(names) > 30)])
-    inside = [name for name in names if reference.lower() in name.lower()]
+    inside = [name for name in names if reference and reference.lower() in name.lower()]
     near = f"; did you mean {inside[0]}?" if inside else did_you_mean([reference], names)
     raise InputError(f"{line} has no column {reference!r}, which {where} names; it has {listed}{near}")
 
@@ -181,7 +186,6 @@ def _expanded(
 
 
 def _numbers(table: Table, map: Map, reference: Reference, quantity: str, entry: str) -> Array:
-    """A column in SI units; zeros for an empty reference."""
     if reference == "":
         return np.zeros(len(table))
     column, sign = _find(table, map, reference, entry)
@@ -230,11 +234,9 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
     length = np.linalg.norm(values, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
     if abs(length[worst] - 1) > 1e-3:  # as in a recording
-        first = _expanded(table, map, orientation.columns, 4, "orientation")[0]
-        title = table.title(_find(table, map, first, "orientation")[0]) if first else "the quaternion's columns"
         raise InputError(
-            f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, from {title} on, where 1 is "
-            f"expected; check the four columns of {_entry(map, 'orientation')}"
+            f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, where 1 is expected; check the "
+            f"four columns of {_entry(map, 'orientation')}"
         )
     return np.roll(values, 1, axis=1) if orientation.order == "xyzw" else values
 
@@ -287,7 +289,6 @@ def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | Non
 
 
 def _check_unit(table: Table, map: Map, column: int, quantity: str) -> None:
-    """Raise InputError if the table states another unit for a column than the map."""
     stated, line = stated_units(table, column).get(quantity, ("", None))
     factor = map.factors[quantity]
     if stated and abs(FACTORS[quantity][stated] - factor) > 1e-9 * factor:
@@ -299,39 +300,11 @@ def _check_unit(table: Table, map: Map, column: int, quantity: str) -> None:
         )
 
 
-def _check_time(log: Log, table: Table) -> None:
-    """Raise InputError if time runs backwards or stands still."""
-    if log.time_s is None or len(log) < 2:
-        return
-    _check_order(log.time_s, log.row, table)
-    if not np.diff(log.time_s).any():
-        raise InputError(
-            f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
-        )
-
-
 def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
-    """Raise InputError if times (n,) of rows (n,) of the table fall."""
     back = np.flatnonzero(np.diff(time) < 0)
     if len(back):
         k = int(back[0])
         raise InputError(
             f"{table.place(int(row[k + 1]))} has a time {time[k] - time[k + 1]:.6g} s before that of the row above, and time "
             f"runs backwards in {len(back)} of {len(time)} rows; check the column of the time, and sort or separate the rows"
-        )
-
-
-def _check_wrench(log: Log, table: Table, map: Map) -> None:
-    """Raise InputError if all forces, or all moments, are zero."""
-    for name, part in (("force", log.wrench[:, :3]), ("moment", log.wrench[:, 3:])):
-        if part.any():
-            continue
-        entry = "signals" if map.columns.signals else name
-        references = getattr(map.columns, entry)
-        references = _expanded(table, map, references, len(map.offset) or 3, entry)
-        titles = ", ".join(table.title(_find(table, map, one, entry)[0]) for one in references if one != "")
-        zero = f"the {name} zero by [sensor] matrix, from" if map.columns.signals else "zero in"
-        raise InputError(
-            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have {zero} {titles}: nothing was measured; "
-            f"check [columns] {entry} of {map.name}, and the sensor"
         )

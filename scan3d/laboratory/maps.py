@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.files.reading import REQUIRED, Section, did_you_mean, read_rod, read_section, to_float
+from scan3d.files.reading import REQUIRED, Section, did_you_mean, is_finite, read_rod, read_section
 from scan3d.files.recordings import TABLE
 from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
@@ -245,7 +244,7 @@ def _transducer(
     count = len(rows[0]) if right else 0
     if len(signals) > 1 or not isinstance(signals[0], str) or not set(signals[0]) & set("*?"):
         right = right and count == len(signals)
-    if not right or not all(len(row) == count and all(map(_is_finite, row)) for row in rows):
+    if not right or not all(len(row) == count and all(map(is_finite, row)) for row in rows):
         raise section.error(
             "matrix",
             "must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with a number for each of the signals; "
@@ -254,12 +253,7 @@ def _transducer(
     return tuple(tuple(map(float, row)) for row in rows), section.numbers("offset", count, (0.0,) * count)
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(to_float(value))
-
-
 def _reference(section: Section, key: str) -> Reference | None:
-    """The name or number of a column; None if there is no such entry."""
     value = section.any(key)
     return None if value is None else _column(section, key, value)
 
@@ -347,9 +341,7 @@ def _air(section: Section) -> str | tuple[tuple[float, float], ...]:
     if not isinstance(air, (list, tuple)) or not air:
         raise section.error("air", f"{expected}; got {air!r}")
     for pair in air:
-        numbers = isinstance(pair, (list, tuple)) and all(
-            isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair
-        )
-        if not numbers or len(pair) != 2 or not pair[0] < pair[1]:
+        right = isinstance(pair, (list, tuple)) and len(pair) == 2 and all(map(is_finite, pair))
+        if not right or not pair[0] < pair[1]:
             raise section.error("air", f"{expected}; got {pair!r}")
     return tuple((float(start), float(end)) for start, end in air)

@@ -1,15 +1,12 @@
 """One continuous log cut into sweeps, by the motion of the clamp: straight strokes along the x axis of its frame.
 
 Approaches and retracts move along or across the rod in other directions and are left out, and so are rows in which the clamp
-turns.  A stroke without contact is a sweep as well, because it shows that nothing is there.  Sweeps are along -x; where most
-are not, other ways to read the orientation are tried, and the one with which they are is named.
+turns.  A stroke without contact is a sweep as well, because it shows that nothing is there.  Sweeps are along -x.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
-from scan3d.files.text_tables import Table
 from scan3d.laboratory.air import SD_OVER_MAD
-from scan3d.laboratory.logs import read_log
 from scan3d.laboratory.maps import Map
-from scan3d.numbers import share
 
 # Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
 _OVER_JITTER = 20.0
 # The clamp turns if its axes change by more than this many radians over a displacement.
 _TURNING = 0.02
-# Angle in radians to the x axis within which a sweep is along it, and the part of the sweeps, or of the rows in contact, that
-# another reading of the orientation must bring there to be named.
-_SWEEPS_ALONG, _NEARLY_ALL = 0.3, 0.9
+# Angle in radians to the x axis within which a sweep is along it.
+_SWEEPS_ALONG = 0.3
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -203,59 +196,39 @@ def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) 
 
 
 def check_directions(
-    table: Table, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
-) -> list[str]:
+    map: Map, where: str, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
+) -> None:
     """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
 
-    touched
-        (n,) rows in contact.
-
-    Returns notes on sweeps that hold only some of the contacts, where with another reading of the orientation they hold most.
+    `where` is the name of the table, and `touched` (n,) are the rows in contact.
     """
     angle = travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
     if len(angle) and not len(known):
         raise InputError(
-            f"{table.name}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
+            f"{where}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
             f"{map.name}"
         )
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
-    along = len(known) > 0 and (known < _SWEEPS_ALONG).mean() >= 0.5
     held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
-    if along and held >= 0.7:
-        return []
-    if along and held >= 0.2:  # retracts and strokes back hold contacts as well, but not most of them
-        # some of the rows are enough, if none of the table was left out
-        step = max(1, len(table) // 50_000) if len(table) == len(touched) else 1
-        right = _right_readings(table.rows(np.arange(0, len(table), step)), map, touched[::step], _NEARLY_ALL)
-        return [
-            f"only {share(held)} of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
-            f"{name}: check [columns] orientation of {map.name}"
-            for name in right[:1]
-        ]
+    # retracts and strokes back hold contacts as well, but not most of them
+    if len(known) and (known < _SWEEPS_ALONG).mean() >= 0.5 and held >= 0.2:
+        return
     axis = _usual_axis(np.where(touched, 0, -1) if held < 0.2 else sweep, position, quaternion)
-    right = _right_readings(table, map, touched, 0.5)
-    if right:
-        advice = f"they would be along -x if {right[0]}: check [columns] orientation of {map.name}"
-    elif axis == "+x":
-        advice = (
-            "turn the clamp's frame about the rod by euler_deg = [0, 180, 0] under [clamp] of the map, or take strokes in both "
-            'directions by directions = "both" under [sweeps]'
-        )
-    else:
-        advice = (
-            f"check [columns] orientation and position of {map.name}, or state the clamp's frame, with y along the rod and x "
-            "against the sweep, in the logged one under [clamp]"
-        )
+    advice = (
+        "check orientation (its order of columns or its convention) and position under [columns], [units] angle, and the "
+        "clamp's frame under [clamp], with y along the rod and x against the sweep"
+    )
+    if axis == "+x":
+        advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'
     raise InputError(
-        f"{table.name}: the clamp moves {'in contact ' if held < 0.2 else ''}mostly along {axis} of its own frame, and not "
-        f"along -x as in a sweep; {advice}"
+        f"{where}: the clamp moves {'in contact ' if held < 0.2 else ''}mostly along {axis} of its own frame, and not "
+        f"along -x as in a sweep; in {map.name} {advice}"
     )
 
 
 def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> str:
-    """The axis of the clamp's frame along which it moves farthest, in the sweeps if there are any."""
     step = np.diff(position, axis=0)
     rows = (sweep[1:] >= 0) & (sweep[1:] == sweep[:-1])
     rows = rows if step[rows].any() else np.ones(len(step), dtype=bool)
@@ -264,48 +237,3 @@ def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) ->
     local = Rotation.from_quat(quaternion[:-1][rows], scalar_first=True).apply(step[rows], inverse=True)
     lengths = np.stack([np.maximum(local, 0).sum(axis=0), np.maximum(-local, 0).sum(axis=0)], axis=1).ravel()
     return _AXES[int(np.argmax(lengths))]
-
-
-def _right_readings(table: Table, map: Map, touched: Mask, least: float) -> list[str]:
-    """The other readings of the orientation with which the clamp sweeps along -x, in words."""
-    return [name for name, other in _other_readings(map) if _fits(table, other, touched, least)]
-
-
-def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
-    """Other ways to read the orientation, with the words for them."""
-    orientation = map.columns.orientation
-
-    def changed(**fields: Any) -> Map:
-        return replace(map, columns=replace(map.columns, orientation=replace(orientation, **fields)))
-
-    if orientation.kind == "quaternion":
-        other, place = ("xyzw", "last") if orientation.order == "wxyz" else ("wxyz", "first")
-        yield f'qw is the {place} of the four columns, order = "{other}"', changed(order=other)
-        return
-    unit, factor = ("rad", 1.0) if map.factors["angle"] != 1 else ("deg", np.pi / 180)
-    other_unit = replace(map, factors={**map.factors, "angle": factor})
-    yield f'the angles are in {unit}, angle = "{unit}" under [units]', other_unit
-    if orientation.kind == "euler":
-        convention = orientation.convention
-        for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
-            if other != convention:
-                yield f'the convention is "{other}"', changed(convention=other)
-
-
-def _fits(table: Table, map: Map, touched: Mask, least: float) -> bool:
-    """Whether nearly all of the clamp's sweeps are along -x with another map.
-
-    Sweeps that are found by motion hold at least the part `least` of the rows in contact then.
-    """
-    try:
-        log = read_log(table, map)
-    except InputError:
-        return False
-    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
-    if log.sweep is None:
-        found = strokes(position, quaternion, map.rod.length_m)
-        forwards = (found.sweep >= 0) & ~np.append(found.backwards, True)[found.sweep]
-        return bool(forwards[touched].mean() >= least) if touched.any() else bool(forwards.any())
-    angle = travel_angles(log.sweep, position, quaternion)
-    known = angle[np.isfinite(angle)]
-    return bool(len(known)) and bool((known < _SWEEPS_ALONG).mean() >= _NEARLY_ALL)

@@ -19,6 +19,7 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.files.reading import Section, read_rod, read_section
 from scan3d.files.recordings import sidecar
+from scan3d.files.text import rows_as_text
 from scan3d.files.text_tables import Table, read_table
 from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance
 from scan3d.recording import rounding_sd, together
@@ -373,12 +374,5 @@ def contacts_csv(found: SweepContacts) -> bytes:
             "sd_friction": found.friction_sd,
             "sd_slope": found.errors.slope,
         }
-    cells = [[_cell(value) for value in column.tolist()] for column in columns.values()]
-    return "".join(f"{','.join(row)}\n" for row in [list(columns), *zip(*cells, strict=True)]).encode()
-
-
-def _cell(value: float | str) -> str:
-    """A number with all digits; an empty text for one that is not known."""
-    if isinstance(value, str):
-        return value
-    return repr(value) if np.isfinite(value) else ""
+    header = f"{','.join(columns)}\n".encode()
+    return header + rows_as_text(columns.values()).replace(b"nan", b"")  # no word of a status holds these letters

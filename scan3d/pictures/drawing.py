@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
@@ -39,13 +40,11 @@ class Drawing:
     """
 
     def __init__(self) -> None:
-        self.has_begun = False
-        """Whether pictures are being drawn, which `finish` waits for."""
         self._request: SimpleQueue[bytes] = SimpleQueue()
-        self._answer: SimpleQueue[list[bytes] | Exception] = SimpleQueue()
         self._changing = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
         self._is_over = False
+        self._drawn: Future[list[bytes]] = Future()
         threading.Thread(target=self._work, daemon=True).start()
 
     def __enter__(self) -> Drawing:
@@ -61,7 +60,6 @@ class Drawing:
     def begin(self, scene: Scene, jobs: Sequence[Job]) -> None:
         """Let pictures be drawn, which `finish` waits for."""
         self._request.put(pickle.dumps((scene, list(jobs))))
-        self.has_begun = True
 
     def finish(self) -> list[bytes]:
         """The bytes of each picture that `begin` has asked for.
@@ -69,18 +67,15 @@ class Drawing:
         Raises NoRendererError where nothing can be rendered, InputError for a scene that lacks what is to be shown, and
         DrawingError if the child process crashes or takes too long.
         """
-        answer = self._answer.get()
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+        return self._drawn.result()
 
     def _work(self) -> None:
         try:
-            self._answer.put(self._drawn())
+            self._drawn.set_result(self._answer())
         except Exception as error:  # raised where the pictures are waited for
-            self._answer.put(error)
+            self._drawn.set_exception(error)
 
-    def _drawn(self) -> list[bytes]:
+    def _answer(self) -> list[bytes]:
         rendering.need_renderer()
         environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
         with self._changing:
@@ -170,7 +165,6 @@ def _pictures(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:
 
 
 def _cause(code: int, errors: bytes) -> str:
-    """Why a child process has ended."""
     lines = [line.strip() for line in errors.decode(errors="replace").splitlines() if line.strip()]
     if code < 0:
         known = {number.value: number.name for number in signal.Signals}

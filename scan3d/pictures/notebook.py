@@ -18,10 +18,9 @@ import numpy as np
 
 from scan3d.choices import Color, View, one_of
 from scan3d.cloud import Cloud
-from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
 from scan3d.files.whole import atomic, check_file
-from scan3d.pictures import charts, rendering, views
+from scan3d.pictures import rendering, views
 from scan3d.pictures.figures import own_style, save
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def plot(
-    what: Recording | Cloud | trimesh.Trimesh | Comparison,
+    what: Recording | Cloud | trimesh.Trimesh,
     truth: trimesh.Trimesh | None = None,
     *,
     against: trimesh.Trimesh | None = None,
@@ -48,7 +47,7 @@ def plot(
     path: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Image:
-    """A picture, drawn off screen, of a recording, a cloud, a surface (`trimesh.Trimesh`) or a comparison.
+    """A picture, drawn off screen, of a recording, a cloud or a surface (`trimesh.Trimesh`).
 
     truth
         the true body, a `trimesh.Trimesh`: a cloud can then be coloured by its error, and a surface is by its deviation.
@@ -76,17 +75,11 @@ def plot(
         with `overwrite`.
 
     Returns a `PIL.Image.Image`, which notebooks show.  Raises InputError for other results and values, where the picture can't
-    be written, and where nothing can be rendered, which reactions, histograms and comparisons do not need.
+    be written, and where nothing can be rendered, which reactions and histograms do not need.
     """
     drawn = sheet(size, dpi, camera)
     if path is not None:
         _check_place(path, overwrite)
-    if isinstance(what, Comparison):
-        if camera is not None:
-            raise InputError(
-                "the picture of a comparison shows no body, so that it has no camera: leave the camera out"
-            )
-        return _written(lambda: charts.distances(what, drawn), path)
     import trimesh
 
     for name, body in (("truth", truth), ("against", against)):
@@ -101,7 +94,6 @@ def plot(
 
 
 def _shown(what: Any, truth: Any, view: str | None, unit: str | None) -> tuple[str, Scene]:
-    """The view in which a result is drawn by default, and its scene."""
     import trimesh
 
     from scan3d.geometry.distance import distances
@@ -118,8 +110,7 @@ def _shown(what: Any, truth: Any, view: str | None, unit: str | None) -> tuple[s
         default, scene, cloud = "cloud", Scene("the cloud", what.unit, truth=truth), what
     else:
         raise InputError(
-            f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, "
-            f"got a {type(what).__name__}"
+            f"only a recording, a cloud or a surface (trimesh.Trimesh) can be plotted, got a {type(what).__name__}"
         )
     error = None if truth is None else distances(cloud.points, truth)
     return default, replace(scene, contacts=of_cloud(cloud, error).contacts)
@@ -146,12 +137,10 @@ def scene_image(
 
 
 def _check_place(path: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raises InputError for a path at which no picture can or may be written."""
     check_file(views.check_path(Path(path)), {}, overwrite, "path")
 
 
 def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Image:
-    """The image of a figure, which is also written to a path if there is one."""
     from PIL import Image as Pillow
 
     with own_style():
@@ -166,11 +155,9 @@ def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Im
 # --- tables ---
 
 
-def to_html(result: Recording | Cloud | Comparison) -> str:
+def to_html(result: Recording | Cloud) -> str:
     """A table in HTML of what a result states of itself, with a small picture where one can be drawn."""
     title, rows = type(result).__name__, result.summary()
-    if isinstance(result, Comparison):
-        return _html(title, rows, note=f"Lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal.")
     if isinstance(result, Recording):
         rows = [*rows, *((f"source: {name}", str(value)) for name, value in result.source.items())]
         return _html(title, rows, _small(plot(result)))

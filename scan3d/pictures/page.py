@@ -10,8 +10,13 @@ import base64
 import hashlib
 import html
 import json
+import os
 import re
+import sys
+import tempfile
+import webbrowser
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,30 +27,8 @@ from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.numbers import FORCES, MOMENTS, UNITS, reaction_unit
+from scan3d.pictures import parts
 from scan3d.pictures.figures import own_style
-from scan3d.pictures.parts import (
-    BODY,
-    FORCE,
-    INK,
-    NORMAL,
-    ON_DEVIATION,
-    REACTION_COLORS,
-    ROD,
-    SELECTED,
-    SWEEP_DIRECTION,
-    TIP,
-    Shade,
-    area_of_vertices,
-    has_rods,
-    is_spatial,
-    most_informative_sweep,
-    normal_lines,
-    recording_rows,
-    sections,
-    shade_contacts,
-    surface_shades,
-    weighted_quantiles,
-)
 from scan3d.pictures.scene import Scene
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol
@@ -55,6 +38,32 @@ _SCRIPTS = ("view", "layers", "player", "tools", "main")
 
 # Key figures that are sentences, and are shown when they are asked for.
 PREMISES = ("assumed", "tested")
+NO_DISPLAY = (
+    "there is no display with a browser to show the page in; write a picture with --screenshot FILE, or a page with "
+    "--html FILE"
+)
+
+
+def can_open() -> bool:
+    """Whether a browser can be opened here: on Linux a display must answer."""
+    local = os.environ.get("DISPLAY", "").partition(".")[0]
+    if sys.platform == "linux" and not os.environ.get("WAYLAND_DISPLAY"):
+        if not local or (local.startswith(":") and not Path(f"/tmp/.X11-unix/X{local[1:]}").exists()):
+            return False
+    try:
+        return bool(webbrowser.get())
+    except webbrowser.Error:
+        return False
+
+
+def open_page(scene: Scene) -> Path:
+    """Open the page of a scene, a temporary file, in the browser.  Raises InputError where there is no display or browser."""
+    if not can_open():
+        raise InputError(NO_DISPLAY)
+    file = Path(tempfile.mkdtemp(prefix="scan3d-")) / "view.html"
+    file.write_bytes(page(scene))
+    webbrowser.open(file.as_uri())
+    return file
 
 
 def page(scene: Scene) -> bytes:
@@ -78,7 +87,7 @@ def page(scene: Scene) -> bytes:
         "radius": float(np.linalg.norm(corners - center, axis=1).max()) or 1.0,
         "layers": layers,
     }
-    if has_rods(scene):
+    if parts.has_rods(scene):
         data["player"] = player(scene, center)
     figures = [row for row in scene.key_figures if row[0] not in PREMISES]
     premises = [row for row in scene.key_figures if row[0] in PREMISES]
@@ -102,7 +111,6 @@ def _table(rows: list[tuple[str, str]]) -> str:
 
 
 def _units(unit: str) -> list[tuple[str, float]]:
-    """The units in which lengths are written, and what they are in metres."""
     return [("in", UNITS_M["in"])] if unit == "in" else [(symbol, float(size)) for symbol, size in UNITS.items()]
 
 
@@ -121,22 +129,21 @@ def _array(values: NDArray[Any], kind: str = "f4") -> dict[str, str]:
 
 
 def _layers(scene: Scene, center: Array) -> list[dict[str, Any]]:
-    """The layers that the scene has, in the order in which they are drawn."""
     layers = []
     if scene.surface is not None:
-        mesh, shades = surface_shades(scene)
-        colors = [_scale(shaded, area_of_vertices(mesh)) for shaded in shades]
+        mesh, shades = parts.surface_shades(scene)
+        colors = [_scale(shaded, parts.area_of_vertices(mesh)) for shaded in shades]
         layers.append(_triangles("surface", mesh, center, on=True, colors=colors))
     if scene.contacts is not None:
         layers.append(_contacts(scene, center))
-    normals = normal_lines(scene)
+    normals = parts.normal_lines(scene)
     if len(normals):
-        layers.append(_strips("normals", list(normals), center, NORMAL, 1.0))
-    name, lines = sections(scene)
+        layers.append(_strips("normals", list(normals), center, parts.NORMAL, 1.0))
+    name, lines = parts.sections(scene)
     if lines:
-        layers.append(_strips(name, [line for line, _ in lines], center, INK, 1.2))
+        layers.append(_strips(name, [line for line, _ in lines], center, parts.INK, 1.2))
     if scene.truth is not None:
-        layers.append(_triangles(scene.reference, scene.truth, center, color=TIP, alpha=0.45))
+        layers.append(_triangles(scene.reference, scene.truth, center, color=parts.TIP, alpha=0.45))
     return layers
 
 
@@ -146,7 +153,7 @@ def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str,
         "kind": "triangles",
         "points": _array(np.asarray(mesh.vertices) - center),
         "faces": _array(np.asarray(mesh.faces), "u4"),
-        "color": BODY,
+        "color": parts.BODY,
         **options,
     }
 
@@ -159,9 +166,9 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
         "kind": "points",
         "on": True,
         "points": _array(scene.points - center),
-        "colors": [_scale(shade_contacts(scene, color), alike) for color in known],
+        "colors": [_scale(parts.shade_contacts(scene, color), alike) for color in known],
         "columns": {name: values.astype(int).tolist() for name, values in names.items() if values is not None},
-        "color": ON_DEVIATION[0],
+        "color": parts.ON_DEVIATION[0],
     }
 
 
@@ -171,7 +178,7 @@ def _strips(name: str, lines: list[Array], center: Array, color: str, width: flo
     return {"name": name, "kind": "lines", "points": points, "starts": starts, "color": color, "width": width}
 
 
-def _scale(shaded: Shade, weights: Array) -> dict[str, Any]:
+def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
     """Values (n,) with their scale of colours, of which the page interpolates 33, or with their kinds.
 
     The histogram of values by their weights (n,) has 32 bins of equal length on the scale.
@@ -180,7 +187,7 @@ def _scale(shaded: Shade, weights: Array) -> dict[str, Any]:
     from matplotlib.colors import to_hex
 
     if shaded.norm is None:
-        kinds = [[name, color] for name, color in zip(("tangential", "tip"), ON_DEVIATION, strict=True)]
+        kinds = [[name, color] for name, color in zip(("tangential", "tip"), parts.ON_DEVIATION, strict=True)]
         values = _array(planar.Phase.TANGENTIAL - shaded.values)
         return {"title": "kind of contact", "kinds": kinds, "values": values}
     stops = [to_hex(color) for color in colormaps[shaded.map](np.linspace(0, 1, 33))]
@@ -195,7 +202,7 @@ def _scale(shaded: Shade, weights: Array) -> dict[str, Any]:
         "log": type(shaded.norm).__name__ == "LogNorm",
         "stops": stops,
         "shares": shares.tolist(),
-        "quantiles": weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
+        "quantiles": parts.weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
         "unknown": float(weights[~known].sum() / weights.sum()),
     }
 
@@ -224,8 +231,8 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     """
     recording = scene.recording
     assert recording is not None
-    samples = samples_of(recording, recording_rows(scene, recording))
-    rows, spatial = samples.rows, is_spatial(scene)
+    samples = samples_of(recording, parts.recording_rows(scene, recording))
+    rows, spatial = samples.rows, parts.is_spatial(scene)
     force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm[:, None])
     newton, force_unit = reaction_unit(float(np.abs(force[rows]).max()), FORCES)
     newton_metre, moment_unit = reaction_unit(float(np.abs(moment[rows]).max()), MOMENTS)
@@ -242,12 +249,12 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     first = np.repeat(samples.starts, np.diff([*samples.starts, len(rows)]))
     travel = -np.einsum("ni,ni->n", position - position[first], axes[first, 0])
     sizes = np.column_stack([np.linalg.norm(force, axis=1), np.linalg.norm(moment, axis=1)])
-    shown = int(np.flatnonzero(samples.numbers == most_informative_sweep(scene))[0])
+    shown = int(np.flatnonzero(samples.numbers == parts.most_informative_sweep(scene))[0])
     data: dict[str, Any] = {
         "numbers": samples.numbers.tolist(),
         "starts": samples.starts.tolist(),
         "shown": shown,
-        "toward": (SWEEP_DIRECTION @ axes[samples.starts[shown]]).tolist(),
+        "toward": (parts.SWEEP_DIRECTION @ axes[samples.starts[shown]]).tolist(),
         "position": _array(position - center),
         "turned": _array(turned, "u4"),
         "turns": _array(axes[turned]),
@@ -259,7 +266,7 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
         "length": recording.rod.length_m / UNITS_M[scene.unit],
         "forceUnit": recording.rod.force_unit_N / float(force_unit),
         "momentUnit": recording.rod.moment_unit_Nm / float(moment_unit),
-        "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "curves": REACTION_COLORS},
+        "colors": {"rod": parts.ROD, "force": parts.FORCE, "selected": parts.SELECTED, "curves": parts.REACTION_COLORS},
     }
     angles = scene.column("bending")
     if angles is not None:

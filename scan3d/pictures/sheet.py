@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from scan3d.choices import CAMERAS
 from scan3d.errors import InputError
-from scan3d.processes import check_memory
 
 CHARTS = ("histogram", "forces")
 """Views that show no body: they have no camera, and need no renderer."""
@@ -115,17 +114,11 @@ def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | N
             f"a picture has at most {_MOST_PIXELS} pixels along a side, and this one would have {max(wide, high)}; choose a "
             "smaller size or resolution"
         )
-    # 24 bytes for each pixel that is rendered, with depth and copies, and for each of the picture
-    needed = 24 * wide * high * (made.sampling**2 + 1)
-    check_memory(needed, f"a picture of {wide} x {high} pixels", "choose a smaller size or resolution")
     return made
 
 
 def _dpi(dpi: int | str) -> int:
-    try:
-        dots = int(dpi) if float(dpi).is_integer() else 0
-    except (ValueError, TypeError, OverflowError):
-        dots = 0
+    dots = int(dpi) if str(dpi).isdecimal() else 0
     if not 50 <= dots <= 2400:
         raise InputError(
             f"the resolution of a picture is a whole number of dots per inch from 50 to 2400, such as 300, got {dpi!r}"

@@ -11,35 +11,9 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import VIEWS
 from scan3d.errors import InputError
+from scan3d.pictures import figures, parts
 from scan3d.pictures.canvas import DIRECTION, Canvas
 from scan3d.pictures.charts import histograms, reactions
-from scan3d.pictures.figures import (
-    blank_figure,
-    box_of,
-    color_bar,
-    legend,
-    own_style,
-    picture_height,
-    save,
-    show_canvas,
-)
-from scan3d.pictures.parts import (
-    BODY,
-    INK,
-    NORMAL,
-    ROD,
-    SLICE,
-    TANGENTIAL,
-    TIP,
-    ShownSweep,
-    evenly_chosen,
-    normal_lines,
-    sections,
-    shade_contacts,
-    shade_surface,
-    shown_sweep,
-    sweep_direction,
-)
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.sheet import CHARTS, Sheet
@@ -70,8 +44,8 @@ def picture(
     rendered.
     """
     path = check_path(path)
-    with own_style():
-        save(figure(scene, view, color, sheet), path)
+    with figures.own_style():
+        figures.save(figure(scene, view, color, sheet), path)
 
 
 def figure(scene: Scene, view: str = "cloud", color: str = "force", sheet: Sheet | None = None) -> Any:
@@ -99,7 +73,6 @@ def _chart(scene: Scene, view: str, sheet: Sheet) -> Any:
 
 
 def _canvas(corners: Array, sheet: Sheet, direction: Any = DIRECTION, up: Any = (0.0, 0.0, 1.0)) -> Canvas:
-    """A canvas, seen from the sheet's camera or else from a direction."""
     if sheet.camera is not None:
         direction, up = sheet.camera.toward, sheet.camera.up
     return Canvas(corners, direction, up, scale=sheet.scale, sampling=sheet.sampling)
@@ -108,7 +81,7 @@ def _canvas(corners: Array, sheet: Sheet, direction: Any = DIRECTION, up: Any = 
 def _sized(canvas: Canvas, sheet: Sheet, share: float = 1.0, beside: float = _BESIDE, above: float = 0.0) -> Any:
     """A figure, in which the canvas has a share of the width that is left beside a bar or legend."""
     width = share * (sheet.width - beside * sheet.em)
-    return blank_figure(picture_height(canvas, sheet, width, above), sheet.dpi, sheet.width)
+    return figures.blank_figure(figures.picture_height(canvas, sheet, width, above), sheet.dpi, sheet.width)
 
 
 def _place(figure: Any, sheet: Sheet, right: float, bottom: float = 0.0) -> tuple[float, float, float, float]:
@@ -120,31 +93,35 @@ def _place(figure: Any, sheet: Sheet, right: float, bottom: float = 0.0) -> tupl
 def _cloud(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     if scene.contacts is None:
         raise InputError(f"{scene.name} has no contacts to show; it has a surface: give the view surface")
-    shaded = shade_contacts(scene, color)
-    canvas = _canvas(np.concatenate([scene.corners, *normal_lines(scene)]), sheet)
+    shaded = parts.shade_contacts(scene, color)
+    canvas = _canvas(np.concatenate([scene.corners, *parts.normal_lines(scene)]), sheet)
     canvas.add_backdrop(scene)
     canvas.add_points(scene.points, shaded.rgb)
-    canvas.add_lines(normal_lines(scene), NORMAL, 1)
+    canvas.add_lines(parts.normal_lines(scene), parts.NORMAL, 1)
     figure = _sized(canvas, sheet)
     if shaded.norm is None:
-        entries = [("tangential contact", TANGENTIAL, "o"), ("tip contact", TIP, "o"), ("normal", NORMAL, "-")]
-        right = box_of(figure, legend(figure, entries, 1, sheet.font)).x0
+        entries = [
+            ("tangential contact", parts.TANGENTIAL, "o"),
+            ("tip contact", parts.TIP, "o"),
+            ("normal", parts.NORMAL, "-"),
+        ]
+        right = figures.box_of(figure, figures.legend(figure, entries, 1, sheet.font)).x0
     else:
         is_tip = scene.column("phase") == planar.Phase.TIP
-        right = color_bar(
+        right = figures.color_bar(
             figure, shaded, sheet, unknown="tip contact" if color == "friction" and np.any(is_tip) else ""
         )
-    show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
+    figures.show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
     return figure
 
 
 def _surface(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
-    mesh, shaded = shade_surface(scene, view)
+    mesh, shaded = parts.shade_surface(scene, view)
     canvas = _canvas(scene.corners, sheet)
-    canvas.add_body(mesh, BODY if shaded is None else shaded.rgb, edges=scene.surface)
+    canvas.add_body(mesh, parts.BODY if shaded is None else shaded.rgb, edges=scene.surface)
     figure = _sized(canvas, sheet)
-    right = sheet.width - _BESIDE * sheet.em if shaded is None else color_bar(figure, shaded, sheet)
-    show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
+    right = sheet.width - _BESIDE * sheet.em if shaded is None else figures.color_bar(figure, shaded, sheet)
+    figures.show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
     return figure
 
 
@@ -154,44 +131,46 @@ def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
             f"the view compare needs the true body of {scene.name}, which is unknown or not found here as it was scanned: "
             "give --truth MESH (in Python truth=)"
         )
-    mesh, shaded = shade_surface(scene)
+    mesh, shaded = parts.shade_surface(scene)
     canvases = [_canvas(scene.corners, sheet) for _ in range(2)]
-    canvases[0].add_body(scene.truth, BODY)
-    canvases[1].add_body(mesh, BODY if shaded is None else shaded.rgb, edges=scene.surface)
+    canvases[0].add_body(scene.truth, parts.BODY)
+    canvases[1].add_body(mesh, parts.BODY if shaded is None else shaded.rgb, edges=scene.surface)
     title, gap = _TITLE * sheet.em, _MARGIN * sheet.em
     figure = _sized(canvases[0], sheet, 0.5, above=title)
-    right = sheet.width if shaded is None else color_bar(figure, shaded, sheet)
+    right = sheet.width if shaded is None else figures.color_bar(figure, shaded, sheet)
     left, bottom, width, height = _place(figure, sheet, right)
     result = "this surface" if scene.is_other else "reconstruction"
     for k, (name, canvas) in enumerate(zip((scene.reference, result), canvases, strict=True)):
         place = (left + k * (width + gap) / 2, bottom, (width - gap) / 2, height - title)
-        show_canvas(figure, canvas, place, sheet, scene.unit, scaled=k == 0)
+        figures.show_canvas(figure, canvas, place, sheet, scene.unit, scaled=k == 0)
         x, y = (place[0] + place[2] / 2) / sheet.width, 1 - (_MARGIN * sheet.em + title / 2) / figure.get_figheight()
         figure.text(x, y, name, ha="center", va="center", fontsize=sheet.font)
     return figure
 
 
 def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
-    sweep = shown_sweep(scene)
+    sweep = parts.shown_sweep(scene)
     canvas = _sweep_canvas(scene, sweep, sheet)
-    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), 7), _FORWARD)
+    canvas.add_rods(sweep, parts.evenly_chosen(len(sweep.base), 7), _FORWARD)
     lines = "contact path" if sweep.slice is None else "slice"
     entries = [
-        ("body", BODY, "s"),
-        (f"{lines}s", SLICE, "-"),
-        (f"{lines} of the sweep", INK, "-"),
-        ("contact", TANGENTIAL, "o"),
-        ("bent rod", ROD, "-"),
-        ("clamp", INK, "s"),
-        ("clamp travel", INK, "->"),
+        ("body", parts.BODY, "s"),
+        (f"{lines}s", parts.SLICE, "-"),
+        (f"{lines} of the sweep", parts.INK, "-"),
+        ("contact", parts.TANGENTIAL, "o"),
+        ("bent rod", parts.ROD, "-"),
+        ("clamp", parts.INK, "s"),
+        ("clamp travel", parts.INK, "->"),
     ]
     figure = _sized(canvas, sheet, beside=0.0, above=4.2 * sheet.em)
-    bottom = box_of(figure, legend(figure, entries, 4, sheet.font)).y1
-    show_canvas(figure, canvas, _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom), sheet, scene.unit)
+    bottom = figures.box_of(figure, figures.legend(figure, entries, 4, sheet.font)).y1
+    figures.show_canvas(
+        figure, canvas, _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom), sheet, scene.unit
+    )
     return figure
 
 
-def _sweep_canvas(scene: Scene, sweep: ShownSweep, sheet: Sheet) -> Canvas:
+def _sweep_canvas(scene: Scene, sweep: parts.ShownSweep, sheet: Sheet) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
     x, _, z = sweep.axes
     rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
@@ -206,19 +185,19 @@ def _sweep_canvas(scene: Scene, sweep: ShownSweep, sheet: Sheet) -> Canvas:
         body = _cut(body, middle, z, reach)
     near = scene.points[np.abs((scene.points - middle) @ z) < reach] if body is None else np.asarray(body.points)
     corners = np.concatenate([rod_points, base_line, slice_points, near])
-    canvas = _canvas(corners, sheet, sweep_direction(sweep), z)
+    canvas = _canvas(corners, sheet, parts.sweep_direction(sweep), z)
     canvas.size = size
     if body is not None:
-        canvas.add_body(body, BODY)
+        canvas.add_body(body, parts.BODY)
     drawn = sweep.number if sweep.slice is None else sweep.slice
-    lines = [(line, number) for line, number in sections(scene)[1] if (np.abs((line - middle) @ z) < reach).all()]
+    lines = [(line, number) for line, number in parts.sections(scene)[1] if (np.abs((line - middle) @ z) < reach).all()]
     # paths in space cross each other: more cover the body
-    for k in evenly_chosen(len(lines), 60 if sweep.slice is None else len(lines)):
-        canvas.add_lines(lines[k][0][None], SLICE, 1)
+    for k in parts.evenly_chosen(len(lines), 60 if sweep.slice is None else len(lines)):
+        canvas.add_lines(lines[k][0][None], parts.SLICE, 1)
     for line, number in lines:
         if number == drawn:
             # toward the camera, because between samples it lies inside of the body
-            canvas.add_tube(line + _FORWARD * size * canvas.toward, INK, 0.004)
+            canvas.add_tube(line + _FORWARD * size * canvas.toward, parts.INK, 0.004)
     canvas.add_arrow(base_line)
     return canvas
 

@@ -25,6 +25,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import scan3d
+from scan3d.comparison import compare
 from scan3d.files.meshes import read_mesh
 from scan3d.geometry.distance import nearest
 from scan3d.pipeline import analyse
@@ -124,7 +125,12 @@ def measured(body, plan):
     found = analyse(scan3d.simulate(body, plan), body)
     diagonal, local = float(np.linalg.norm(body.extents)), found.certificate.at_vertices
     off = np.abs(nearest(np.asarray(found.surface.vertices), body)[0])
-    lengths = found.bounds.bound, found.certificate.bound, found.hull_error, found.comparison.hausdorff
+    lengths = (
+        found.bounds.bound,
+        found.certificate.bound,
+        compare(found.bounds.inner, body).hausdorff,
+        found.comparison.hausdorff,
+    )
     wrong = int((off > local + 1e-9 * diagonal).sum())
     relative = (length / diagonal for length in lengths)
     return *relative, wrong, len(found.cloud.slice_height), found.surface.metadata["reason"]

@@ -124,7 +124,7 @@ def attempt(kind, chance, folder, change, numbers, columns):
     options = [f"--{name}={chance.choice(numbers + _WORDS)}" for name in chosen]
     rig = chance.choice(([], ["--rig", f"{FOLDER}/rig.toml"]))
     after = chance.choice(([], ["--after", f"{FOLDER}/specimen.csv"]))
-    shown = chance.choice((["--out", "o.csv"], ["--out", "o.csv"], ["--dry-run", "--html", "o.html"]))
+    shown = chance.choice((["--out", "o.csv"], ["--out", "o.csv"], ["--dry-run", "--picture", "o.png"]))
     usual = {
         "plan": [f"--around={_AROUND[0]}", "--slices=4", "--samples=20"],
         "poses": [f"{FOLDER}/box.stl", "--poses", f"{FOLDER}/poses.csv", "--friction=0.3"],
@@ -137,6 +137,6 @@ def attempt(kind, chance, folder, change, numbers, columns):
         return ["import", f"{FOLDER}/raw.csv", "--map", "first.toml", "--guess"]
     command = {"poses": "simulate", "sweep": "reconstruct"}.get(kind, kind)
     faults = ["--faults", f"{FOLDER}/faults.toml"] if kind == "poses" and chance.random() < 0.7 else []
-    ending = {"plan": chance.choice(("csv", "csv", "yaml")), "calibrate": "toml"}.get(kind, "csv")
+    ending = {"plan": "csv", "calibrate": "toml"}.get(kind, "csv")
     out = [] if kind in ("import", "sweep") else ["--out", f"o.{ending}"]
     return [command, *usual, *faults, *out, *options]
