@@ -1,4 +1,4 @@
-"""Exported files: what other programs read of them, units, colours, names of scalars, bags of ROS, and what is refused."""
+"""Exported files: what other programs read of them, units, colours, and what is refused."""
 
 import functools
 import json
