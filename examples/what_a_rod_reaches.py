@@ -27,7 +27,7 @@ import scan3d
 
 # %% The slice, in rod lengths
 L = np.array([[0, 0], [40, 0], [40, 12], [12, 12], [12, 40], [0, 40]]) / 56
-FRICTION, NEAR, FAR = 0.3, 0.3, 0.8
+FRICTION, NEAR, FAR, SNAP = 0.3, 0.3, 0.8, 5  # SNAP: travel of the tip in steps of the base
 SIX = np.radians(np.arange(0, 360, 60))
 KNOWN, ESTIMATED, UNKNOWN, FREE = "#0072B2", "#9ECAE1", "#D55E00", "#DDEEDD"
 
@@ -39,8 +39,12 @@ def swept(direction: float, clearance: float) -> tuple[np.ndarray, np.ndarray]:
     origin = ((L @ y).min() - clearance) * y
     sweep = planar.sweep(planar.Polygon((L - origin) @ axes.T), FRICTION, samples=64)
     single = sweep.status <= planar.SweepStatus.ONE_CONTACT
-    free = planar.free_space(*sweep.reactions, single=single)
-    return sweep.point[sweep.status == planar.SweepStatus.ONE_CONTACT] @ axes + origin, free.loops @ axes + origin
+    lines = planar.elastic_lines(sweep.x0, *np.nan_to_num(sweep.reactions[1:]))
+    rods = np.concatenate([lines.curved, lines.straight[:, 1:]], axis=1)
+    # between neighbours with a single contact that no snap parts
+    near = np.hypot(*np.diff(rods[:, -1], axis=0).T) < SNAP * np.abs(np.diff(sweep.x0))
+    loops = np.concatenate([rods[:-1], rods[1:, ::-1]], axis=1)[single[1:] & single[:-1] & near]
+    return sweep.point[sweep.status == planar.SweepStatus.ONE_CONTACT] @ axes + origin, loops @ axes + origin
 
 
 def contour(count: int = 2000) -> np.ndarray:

@@ -25,6 +25,7 @@ in a clamp that gives.
 from planar.any_body import SweepStatus
 from planar.channels import Completed, complete
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
+from planar.crossings import passed
 from planar.hidden import (
     Recovered,
     constant_friction_angle,
@@ -38,7 +39,6 @@ from planar.hidden import (
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.march import free_reactions
-from planar.passed import FreeSpace, free_space
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.rods import Rod
 from planar.sweeping import Phase, Sweep, sweep, sweep_all
@@ -58,7 +58,6 @@ __all__ = [
     "Errors",
     "EventKind",
     "Events",
-    "FreeSpace",
     "NormalSource",
     "Phase",
     "Polygon",
@@ -75,8 +74,8 @@ __all__ = [
     "events",
     "first_contacts",
     "free_reactions",
-    "free_space",
     "jacobian",
+    "passed",
     "reconstruct",
     "recover",
     "recover_at_tip",

@@ -27,7 +27,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import Array, Index, Mask
-from planar.passed import FreeSpace
+from planar.crossings import EXPANDED, drawn, near
 from planar.pieces import piece
 from planar.reactions import checked_reactions
 from planar.reconstruction import Contacts, NormalSource, Status
@@ -44,9 +44,8 @@ _SHARE, _ADDED = 0.6, 2e-3
 _CHORD = 0.1
 # Chord, in steps of the base, beyond which the contact has snapped, and in rod lengths, below which it has not moved.
 _SNAPPED, _SAME_PLACE = 5.0, 1e-6
-# Distance, in rod lengths, up to which exact contacts are at one corner; points of each rod from which its nearest place to one
-# is looked for, and steps of that.
-_SAME_CORNER, _LOOKED, _FOOT_STEPS = 1e-9, 65, 6
+# Distance, in rod lengths, up to which exact contacts are at one corner, and steps of Newton's iteration to it along the rod.
+_SAME_CORNER, _FOOT_STEPS = 1e-9, 3
 # Share of the tangential contacts that must agree for a constant coefficient of friction.
 _BULK = 0.5
 # Forces at the first contact that are tried, over the whole one, and halvings of the interval with the second at the tip.
@@ -79,7 +78,6 @@ def second_contacts(
     *,
     friction: ArrayLike | None = None,
     errors: Errors | None = None,
-    free: FreeSpace | None = None,
 ) -> Mask:
     """Contacts (n,) of one sweep that can't be those of rods which touch at one place only.
 
@@ -89,8 +87,6 @@ def second_contacts(
         the coefficient, one number or (n,); None: `constant_friction_angle`, and no test by it where that is unknown.
     errors
         standard deviations of the contacts under noise; None: exact.
-    free
-        what other sweeps have passed.
     """
     n = len(contacts)
     zero = np.zeros(n)
@@ -108,10 +104,6 @@ def second_contacts(
         found = (tangential & (np.abs(off) > allowed)) | ((contacts.phase == Phase.TIP) & (off > allowed))
         # a step that leaves the rod's line is explained by an end that is known to be wrong
         found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential & ~found, place, slope_error)
-        if free is not None:
-            touching = np.flatnonzero(contacts.phase != Phase.NONE)
-            depth = free.depth(contacts.point[touching])
-            found[touching] |= depth > _DEVIATIONS * place[touching]
     return np.asarray(found)
 
 
@@ -177,24 +169,12 @@ def first_contacts(
     found = np.full(len(base), np.nan)
     if not len(known) or not len(base):
         return found
-
-    def rods(row: Index, s: Array) -> tuple[Array, Array, Array]:
-        shape = piece(-across[row], -along[row], np.full(row.shape, np.pi / 2), -moment[row], s)
-        return base[row] + shape.x, shape.y, shape.phi
-
-    everything = np.arange(len(base))
-    at = end[:, None] * np.linspace(0, 1, _LOOKED)
-    x, y, _ = rods(np.repeat(everything, _LOOKED).reshape(at.shape), at)
-    tree = scipy.spatial.cKDTree(np.stack([x.ravel(), y.ravel()], axis=1))
-    near = tree.query_ball_point(known, 1.0 / _LOOKED)
-    corner = np.repeat(np.arange(len(known)), [len(rows) for rows in near])
-    node = np.concatenate([np.asarray(rows, dtype=np.intp) for rows in near])
-    row, s = node // _LOOKED, at.ravel()[node]
+    row, corner, s, _ = near(drawn(x0, f0x, f0y, m0z, s1), known, 2 * EXPANDED)
     for _ in range(_FOOT_STEPS):
-        x, y, phi = rods(row, s)
-        s = np.clip(s + (known[corner, 0] - x) * np.cos(phi) + (known[corner, 1] - y) * np.sin(phi), 0, end[row])
-    x, y, _ = rods(row, s)
-    on = np.hypot(known[corner, 0] - x, known[corner, 1] - y) < _SAME_CORNER
+        shape = piece(-across[row], -along[row], np.full(row.shape, np.pi / 2), -moment[row], s)
+        x, y = known[corner].T - [base[row] + shape.x, shape.y]
+        s = np.clip(s + x * np.cos(shape.phi) + y * np.sin(shape.phi), 0, end[row])
+    on = np.hypot(x, y) < _SAME_CORNER
     np.fmin.at(found, row[on], s[on])
     return found
 

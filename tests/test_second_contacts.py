@@ -12,13 +12,13 @@ from planar import (
     constant_friction_angle,
     corners,
     first_contacts,
-    free_space,
+    passed,
     recover,
     recover_at_tip,
     refuse_second_contacts,
     second_contacts,
 )
-from planar.passed import joined
+from planar.crossings import EXPANDED, drawn, near
 
 ZETA = np.arctan(0.3)
 RUBBING = ["peanut with friction", "star", "letter L"]
@@ -106,30 +106,24 @@ def test_the_second_contact_at_the_tip_is_recovered(name, direction):
 
 
 def test_what_rods_passed_is_free():
-    """Random ellipses, from both sides: no point of the body lies in the free space, and the space reaches close to it."""
+    """Random ellipses, from both sides: no place of the body is passed, and most of those close to it are."""
     rng = np.random.default_rng(14)
     for _ in range(6):
         axes, angle = rng.uniform(0.05, 0.4, 2), rng.uniform(0, np.pi)
-        ellipse = planar.Ellipse(tuple(axes), (0.0, 0.95), angle)
-        spaces = []
-        for direction in (-1, 1):
-            swept = planar.sweep(ellipse, 0.3, samples=50, direction=direction)
-            single = np.ones(50, dtype=bool)
-            columns = swept.x0, swept.f0x, swept.f0y, swept.m0z
-            spaces.append(free_space(*columns, single=single))
-            assert len(free_space(*columns, single=~single).loops) == 0
-        free = joined(spaces)
         around, share = rng.uniform(0, 2 * np.pi, 3000), np.sqrt(rng.uniform(0, 1, 3000))
         c, s = np.cos(angle), np.sin(angle)
-        local = np.stack([axes[0] * np.cos(around), axes[1] * np.sin(around)], axis=1)
-        border = local @ [[c, s], [-s, c]] + np.array([0.0, 0.95])
-        inside = np.array([0.0, 0.95]) + share[:, None] * (border - np.array([0.0, 0.95]))
-        assert free.depth(inside).max() == 0
-        assert free.depth(border).max() == 0
-        # two hundredths of the rod's length outside of most of the lower side the space begins
-        low = border[border[:, 1] < 0.95 - 0.7 * np.abs(border[:, 1] - 0.95).max()]
-        outward = low + 0.02 * (low - [0.0, 0.95]) / np.linalg.norm(low - np.array([0.0, 0.95]), axis=1)[:, None]
-        assert (free.depth(outward) > 0).mean() > 0.5
+        local = np.stack([axes[0] * np.cos(around), axes[1] * np.sin(around)], axis=1) @ [[c, s], [-s, c]]
+        outward = 0.02 * local / np.linalg.norm(local, axis=1)[:, None]
+        low = local[:, 1] < -0.7 * np.abs(local[:, 1]).max()
+        places = np.concatenate([local, share[:, None] * local, (local + outward)[low]])
+        met = np.zeros(len(places), dtype=bool)
+        for side in (1, -1):  # a sweep in +x is that in -x along the mirrored ellipse
+            swept = planar.sweep(planar.Ellipse(tuple(axes), (0.0, 0.95), side * angle), 0.3, samples=50)
+            asked = places * [side, 1] + [0.0, 0.95], np.ones(50, dtype=bool)
+            met[passed(*swept.reactions, swept.s1, asked[0], single=asked[1])[1]] = True
+            assert not len(passed(*swept.reactions, swept.s1, asked[0], single=~asked[1])[0])
+        assert not met[:6000].any()
+        assert met[6000:].mean() > 0.5
 
 
 def test_the_path_of_a_tip_over_a_bump_is_not_free():
@@ -139,8 +133,24 @@ def test_the_path_of_a_tip_over_a_bump_is_not_free():
     outline[:, 1] += 0.5 - outline[:, 1].min()
     swept = planar.sweep(planar.Polygon(outline), 0.3, samples=72)
     single = swept.status < planar.SweepStatus.SEVERAL_CONTACTS
-    free = free_space(swept.x0, swept.f0x, swept.f0y, swept.m0z, single=single)
-    assert free.depth(np.concatenate([outline, (outline + np.roll(outline, -1, axis=0)) / 2])).max() == 0
+    places = np.concatenate([outline, (outline + np.roll(outline, -1, axis=0)) / 2])
+    assert not len(passed(*swept.reactions, swept.s1, places, single=single)[0])
+
+
+def test_places_next_to_rods_against_elastic_lines():
+    swept = planar.sweep(planar.Ellipse((0.3, 0.2), (0.0, 0.85), 0.4), 0.3, samples=30)
+    rods, rng = drawn(*swept.reactions, swept.s1), np.random.default_rng(15)
+    for k in range(1, 30, 4):
+        shape = planar.elastic_lines(*(column[k : k + 1] for column in swept.reactions), points=2001)
+        turn = np.arctan2(*np.diff(shape.curved[0], axis=0).T[::-1])
+        at, aside = rng.integers(1, 2000, 50), rng.uniform(-0.02, 0.02, 50)
+        phi = (turn[at - 1] + turn[at]) / 2
+        found = near(rods, shape.curved[0, at] + aside[:, None] * np.stack([np.sin(phi), -np.cos(phi)], axis=1), 0.021)
+        own = found.row == k
+        assert own.sum() == 50
+        # the chords' directions, of steps of 1/2000, turn the offsets
+        np.testing.assert_allclose(found.off[own], aside, atol=2 * EXPANDED)
+        np.testing.assert_allclose(found.s[own], at / 2000 * swept.s1[k], atol=1e-6)
 
 
 def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():

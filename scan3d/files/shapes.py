@@ -182,8 +182,9 @@ def table(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     """Contacts as a structured array for `ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
 
-    Contacts of noisy data have two further columns, the standard deviations of their places and of their normals' angles.
-    Contacts of the spatial model lie in no slices; instead of the slice they have the rod's tangent and its bending angle.
+    Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have two further
+    columns, the standard deviations of their places and of their normals' angles.  Contacts of the spatial model lie in no
+    slices; instead of the slice they have the rod's tangent and its bending angle.
     """
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
@@ -200,6 +201,8 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     if cloud.place_sd is not None and cloud.normal_sd is not None:
         columns["place_sd"] = cloud.place_sd.astype(np.float32)
         columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
+    if cloud.recovered is not None:
+        columns["recovered"] = cloud.recovered.astype(np.uint8)
     if cloud.tangents is not None and cloud.bending_angle is not None:
         del columns["slice"]
         columns |= dict(zip(("tx", "ty", "tz"), cloud.tangents.astype(np.float32).T, strict=True))

@@ -107,16 +107,18 @@ function clampAxes(k) {  // x, y and z of the clamp at a sample, in the world
 const clampAt = k => [...player.position.subarray(3 * k, 3 * k + 3)];
 
 // The rod of a sample in the world: points from the clamp to the tip, of which number `contact` touches; reactions as vectors.
+// What a rod that touches twice looks like, its reactions do not tell: only its clamp is known.
 function rodAt(k) {
   const [x, y, z] = clampAxes(k), base = clampAt(k), L = player.length, v = player.reactions.subarray(player.width * k);
   const [f, m] = player.width === 6 ? [v.subarray(0, 3), v.subarray(3, 6)] : [[v[0], v[1], 0], [0, 0, v[2]]];
   const angle = player.bending ? player.bending[k] : 0, cos = Math.cos(angle), sin = Math.sin(angle);
-  const across = plus(x.map(v => v * cos), z, sin), touches = player.contactOf[k] >= 0;
+  const across = plus(x.map(v => v * cos), z, sin), contact = player.contactOf[k];
+  const second = contacts.columns.recovered?.[contact] === 1, touches = contact >= 0 && !second;
   const world = v => plus(plus(x.map(c => v[0] * c), y, v[1]), z, v[2]);
   const line = touches ? elasticLine((f[0] * cos + f[2] * sin) / player.forceUnit, f[1] / player.forceUnit,
     (m[2] * cos - m[0] * sin) / player.momentUnit) : elasticLine(0, 0, 0);
   return {base, x, y, z, across, force: world(f), moment: world(m), contact: line.contact, s1: line.s1, touches,
-    points: line.points.map(([u, v]) => plus(plus(base, across, L * u), y, L * v))};
+    points: second ? [base] : line.points.map(([u, v]) => plus(plus(base, across, L * u), y, L * v))};
 }
 
 function strip(lines, color, width) {

@@ -336,8 +336,7 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         raise InputError(
             f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
         )
-    rod, all_rows = recording.rod, recording_rows(scene, recording)
-    rows = all_rows[selected]
+    rod, rows = recording.rod, recording_rows(scene, recording)[selected]
     axes = recording.axes()[rows]
     if is_spatial(scene):
         reactions, in_plane, plane = _spatial_reactions(recording, rows, axes)
@@ -348,7 +347,7 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     across, along, moment = in_plane.T
     lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
     finite = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
-    kept: NDArray[np.bool_] = np.asarray(finite & _alone(scene, recording, all_rows)[selected])
+    kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
     scale = 1 / UNITS_M[scene.unit]
     base = recording.position_m[rows]
 
@@ -399,22 +398,23 @@ def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Arra
 
 def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     """(n,) rows of the recording that the contacts come from."""
-    rows, sweeps = (scene.column(name) for name in ("row", "sweep"))
+    rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
-        if np.array_equal(recording.sweep[indices], sweeps) and _alone(scene, recording, indices).mean() > 0.5:
+        components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
+        of_recording = np.linalg.norm(components[indices], axis=1)
+        same = forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=0) | recovered(scene)
+        if np.array_equal(recording.sweep[indices], sweeps) and np.all(same):
             return indices
     raise InputError(
         f"the contacts of {scene.name} do not belong to its recording, which rods are drawn from: reconstruct it again"
     )
 
 
-def _alone(scene: Scene, recording: Recording, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(n,) whether contacts have the whole force of their rows, as all but the second ones of rods that touch twice."""
-    forces = scene.column("force")
-    components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
-    of_recording = np.linalg.norm(components[rows], axis=1)
-    return np.asarray(np.isclose(of_recording if forces is None else forces, of_recording, rtol=1e-6, atol=0))
+def recovered(scene: Scene) -> NDArray[np.bool_]:
+    """(n,) contacts of rods that touch at another place as well, with a part of the force."""
+    column = scene.column("recovered")
+    return np.zeros(len(scene.points), dtype=bool) if column is None else column.astype(bool)
 
 
 def most_informative_sweep(scene: Scene) -> int:

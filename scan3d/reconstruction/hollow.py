@@ -41,8 +41,7 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     rows = _Rows(cloud, recording)
     friction = rows.friction()
     refused = rows.refused(friction)
-    # at first rods with a second contact that only the others show are among those that pass
-    passed = rows.passed(refused, rows.passed(refused, np.zeros_like(refused)))
+    passed = rows.passed(refused)
     kept = (rows.touching & ~(refused | passed))[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
     if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
@@ -100,24 +99,38 @@ class _Rows:
                 refused[rows] = planar.second_contacts(self.columns[0][rows], found, friction=friction, errors=errors)
         return refused
 
-    def passed(self, refused: Mask, others: Mask) -> Mask:
-        """(n,) contacts in what other sweeps of their slice have passed, by rods that are neither refused nor `others`."""
-        single = (self.touching & ~refused & ~others) | ~self.pressed
+    def passed(self, refused: Mask) -> Mask:
+        """(n,) the fewest contacts, of those not refused, without which no rod has passed a contact of its slice.
+
+        A rod that looks as if it touched elsewhere than it does passes many contacts that others have found, or its contact
+        lies where many rods have been.
+        """
         asked = self.touching & ~refused
+        single = asked | ~self.pressed
+        error = _DEVIATIONS * np.nan_to_num(self.errors.largest)
         found = np.zeros(len(asked), dtype=bool)
         for number in np.unique(self.slice):
             members = [self.sweeps[k] for k in np.flatnonzero(self.slice == number)]
             plane = self.axes[members[0][0], :2]
             rows = np.concatenate(members)
             rows = rows[asked[rows]]
-            sweep = np.repeat(np.arange(len(members)), [int(asked[member].sum()) for member in members])
             points = self._in_plane(self.found.point[rows], rows, plane)
-            for k, member in enumerate(members):
-                free = planar.free_space(*(column[member] for column in self.columns), single=single[member])
-                loops = self._in_plane(free.loops, member[:1], plane)
-                apart = np.flatnonzero(sweep != k)
-                depth = replace(free, loops=loops).depth(points[apart])
-                found[rows[apart]] |= depth > _DEVIATIONS * self.errors.largest[rows[apart]]
+            pairs = []
+            for sweep in members:
+                x0, fx, fy, moment = (column[sweep] for column in self.columns)
+                rod, point = planar.passed(
+                    x0,
+                    fx,
+                    fy,
+                    moment,
+                    self.found.s1[sweep],
+                    self._of_sweep(points, sweep, plane),
+                    single=single[sweep],
+                    error=error[sweep],
+                    point_error=error[rows],
+                )
+                pairs.append(np.stack([sweep[rod], rows[point]]))
+            found |= _cover(np.concatenate(pairs, axis=1), self.pressed)
         return found
 
     def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:
@@ -133,7 +146,7 @@ class _Rows:
             around = touched[slice_of[touched] == number]
             corners = planar.corners(self._in_plane(self.found.point[around], around, plane))
             for sweep in (self.sweeps[k] for k in np.flatnonzero(self.slice == number)):
-                known = corners @ (self.axes[sweep[0], :2] @ plane.T).T - [0.0, self.above[sweep[0]]]
+                known = self._of_sweep(corners, sweep, plane)
                 x0, fx, fy, moment = (column[sweep] for column in self.columns)
                 at = planar.first_contacts(x0, fx, fy, moment, self.found.s1[sweep], known)
                 first[sweep] = np.where(asked[sweep], at, np.nan)
@@ -163,11 +176,29 @@ class _Rows:
         }
         return replace(single, **joined, recovered=order >= len(single))
 
+    def _of_sweep(self, points: Array, sweep: Index, plane: Array) -> Array:
+        """Points in the axes (2, 3) of a slice's plane, in the frame of one of its sweeps."""
+        return np.asarray(points @ (self.axes[sweep[0], :2] @ plane.T).T - [0.0, self.above[sweep[0]]])
+
     def _in_plane(self, points: Array, rows: Index, plane: Array) -> Array:
         """Points of the clamps' frames at some rows, in the axes (2, 3) of a slice's plane."""
         above = np.stack([np.zeros(len(rows)), self.above[rows]], axis=1)
         turn = self.axes[rows, :2] @ plane.T
         return np.asarray(np.einsum("...i,...ij->...j", points + above, turn))
+
+
+def _cover(pairs: Index, pressed: Mask) -> Mask:
+    """(n,) rows without which nothing is left of pairs (2, p) of a rod and a contact that contradict each other.
+
+    The row with the most contradictions goes first.  Rods that feel no force are known.
+    """
+    found = np.zeros(len(pressed), dtype=bool)
+    while pairs.size:
+        ends = np.concatenate([pairs[0][pressed[pairs[0]]], pairs[1]])
+        row = int(np.bincount(ends).argmax())
+        found[row] = True
+        pairs = pairs[:, (pairs != row).all(axis=0)]
+    return found
 
 
 def _of(found: planar.Contacts, rows: Index) -> planar.Contacts:
