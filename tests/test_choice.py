@@ -20,7 +20,7 @@ def box():
 @pytest.fixture(scope="module")
 def ball():
     # fine enough that 24 slices, and not the facets, limit the scan
-    mesh = trimesh.creation.icosphere(6, 20.0)
+    mesh = trimesh.creation.icosphere(5, 20.0)
     return mesh, scanned(mesh)
 
 

@@ -14,6 +14,7 @@ from scan3d.geometry.sections import extent_along
 from scan3d.planning.heights import (
     BEYOND,
     FIRST_SLICES,
+    cuts,
     cuts_at,
     evened,
     first_heights,
@@ -50,6 +51,26 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
 
 
 # --- by the contacts along one axis ---
+
+
+KNOWN = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
+
+
+def cut(slab, corner, gap, straight, count=9, **settings):
+    straight = np.full(len(slab), straight)
+    return cuts(KNOWN, np.array(slab), np.array(corner), np.array(gap, dtype=float), straight, count, **settings)
+
+
+def test_slabs_are_cut_at_their_worst_corners_the_widest_first():
+    slab, corner, gap = [1, 1, 2, 2], [0.2, 0.24, 0.66, 0.7], [1.0, 9.0, 4.0, 0.5]
+    assert cut(slab, corner, gap, True).tolist() == [0.24, 0.66]
+    assert cut(slab, corner, gap, True, count=1).tolist() == [0.24]
+    assert cut(slab, corner, gap, True, enough=5.0).tolist() == [0.24]
+    assert len(cut(slab, corner, np.zeros(4), True)) == 0
+    # a corner on an end slice, and one on an empty slice, mean only that the body may end there
+    assert cut([1], [0.1], [1.0], True) == pytest.approx([0.3], abs=0.1)
+    assert cut([3], [1.1], [1.0], True) == pytest.approx([1.0])
+    assert cut([0], [-0.1], [1.0], False) == pytest.approx([0.0])
 
 
 def gaps_between(thickness, curvature=2.0):

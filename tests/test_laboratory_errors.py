@@ -177,13 +177,9 @@ def test_columns_by_number_pattern_and_without_names(tmp_path):
     changed["columns"]["force"] = [9, 10, 15]
     with pytest.raises(InputError, match=r"log\.csv has 14 columns, and \[columns\] force of the map names column 15"):
         import_table(put(tmp_path, lines()), changed)
-    for pattern, sentence in (("G*", "finds no column, where 3 are expected"), ("?x", "finds qx, Fx, Tx, where 3 are")):
-        changed["columns"]["force"] = pattern
-        if pattern == "?x":
-            changed["columns"]["force"] = "q*"
-            sentence = "finds qw, qx, qy, qz, where 3 are expected"
-        with pytest.raises(InputError, match=rf"log\.csv: the pattern .* {sentence}"):
-            import_table(put(tmp_path, lines()), changed)
+    changed["columns"]["force"] = "q*"
+    with pytest.raises(InputError, match=r"log\.csv: the pattern .* finds qw, qx, qy, qz, where 3 are expected"):
+        import_table(put(tmp_path, lines()), changed)
 
 
 def test_quaternions_of_wrong_order(tmp_path):

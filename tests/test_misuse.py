@@ -15,7 +15,6 @@ import trimesh
 import scan3d
 from scan3d import InputError, processes
 from scan3d.cli import main
-from scan3d.files.reading import check_file
 from tests.shapes import box, dimpled_box, without
 
 EGG = str(Path(__file__).parents[1] / "meshes" / "egg.stl")
@@ -111,15 +110,6 @@ print(stated[0], 1024 * int(status["VmHWM"].split()[0]))
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     stated, taken = (float(word) for word in run.stdout.split())
     assert 3e8 < taken < stated
-
-
-def test_special_files_are_not_read(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", Path("/dev/zero")):
-        with pytest.raises(InputError, match="is a device or a pipe"):
-            check_file(path)
-    with pytest.raises(IsADirectoryError):
-        check_file(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,16 @@ def test_the_slabs_of_a_pyramid():
         assert part.volume == pytest.approx(volume_of_frustum(low, high))
 
 
+@pytest.mark.parametrize(
+    ("half_lengths", "straight"), [([7, 6, 5, 4, 3, 2, 1], True), ([4, 4.9, 5.3, 5.4, 5.3, 4.9, 4], False)]
+)
+def test_walls_go_on_straight_where_three_slices_agree(half_lengths, straight):
+    parts = slabs(stack_of_rectangles(np.arange(7.0), np.array(half_lengths, dtype=float), -1.0, 7.5))
+    assert (parts[3].straight.any(axis=1) == straight).all()
+    # a corner in the plane of an end slice means only that the body may end there
+    assert not parts[1].straight[parts[1].corners[:, 2] < 0.1].any()
+
+
 @pytest.mark.parametrize("edges", [[0, 1, 2], [1, 2, 3], [0, 2], [1, 3]])
 def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
     """Squares of which one side, or two, are not touched: the half-spaces have room inside, and do not close."""
