@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
-from small_scans import CUBE, EGG, FEW, scanned, scanned_folder
+from small_scans import CUBE, EGG, FEW, scanned
 
 import scan3d
 from scan3d.cli import main
@@ -21,16 +21,11 @@ FOREIGN = "can't be recognised as written by scan3d; give --overwrite"
 NEVER = "is the {} that this run reads, which is never overwritten; choose another place with {}"
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return scanned_folder(tmp_path_factory.mktemp("owner"))
-
-
 @pytest.fixture
-def folder(made, tmp_path, monkeypatch, no_pictures):
+def folder(folder, tmp_path, monkeypatch, no_pictures):
     """A copy of a scan's folder in the current one, which can be changed."""
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(made, tmp_path / "out")
+    shutil.copytree(folder, tmp_path / "out")
     shutil.copy(EGG, tmp_path / "egg.stl")
     return tmp_path / "out"
 
