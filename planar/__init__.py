@@ -23,7 +23,7 @@ in a clamp that gives.
 """
 
 from planar.any_body import SweepStatus
-from planar.channels import Completed, complete
+from planar.channels import Completed, complete, complete_by_moment, touched_at
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
 from planar.crossings import passed
 from planar.hidden import (
@@ -67,6 +67,7 @@ __all__ = [
     "Sweep",
     "SweepStatus",
     "complete",
+    "complete_by_moment",
     "constant_friction_angle",
     "corners",
     "elastic_lines",
@@ -83,6 +84,7 @@ __all__ = [
     "second_contacts",
     "sweep",
     "sweep_all",
+    "touched_at",
 ]
 
 

@@ -28,31 +28,24 @@ _LEVELS, _TABLES = 3, 100
 _SOLVED = 1e-11
 # Iterations; one in three computes the derivatives anew.
 _ITERATIONS, _ANEW = 24, 3
-# Places between touch-down and the next place of a table, each half as far as the one before.
-_GRADED = 24
-# Halvings of the interval in which a branch ends.
-_HALVINGS = 8
+# Halvings of the intervals of a table in which a branch begins or ends, turns or changes its kind.
+_HALVINGS = 24
 
 
 class Course(NamedTuple):
-    """Where contacts (n,) may lie: a path and, for each row, its friction angle, first and last piece of its contour."""
+    """Where contacts (n,) may lie: a path, and for each row its contour and its friction angle."""
 
     path: Path
+    contour: Index
     friction_angle: Array
-    first: Index
-    last: Index
-
-    @classmethod
-    def of(cls, path: Path, contour: Index, friction_angle: Array) -> Course:
-        """Rows (n,) on contours of the path."""
-        return cls(path, friction_angle, path.offsets[contour], path.offsets[contour + 1] - 1)
 
     def rows(self, rows: Index | Mask) -> Course:
-        return Course(self.path, self.friction_angle[rows], self.first[rows], self.last[rows])
+        return Course(self.path, self.contour[rows], self.friction_angle[rows])
 
     def at(self, place: Array) -> tuple[Array, Array, Array]:
         """Slope, x and y of the contour at places (n,): piece of the path plus its parameter."""
-        piece = np.clip(np.nan_to_num(place).astype(np.intp), self.first, self.last)
+        first, stop = self.path.offsets[self.contour], self.path.offsets[self.contour + 1]
+        piece = np.clip(np.nan_to_num(place).astype(np.intp), first, stop - 1)
         return self.path.at(piece, place - piece)
 
 
@@ -67,6 +60,19 @@ class Equilibria(NamedTuple):
     x0: Array
     moment: Array
     """Internal moment at the clamp."""
+
+    @classmethod
+    def near(cls, place: Array, tangential: Mask, force: Array, other: Array) -> Equilibria:
+        """Where equilibria are looked for."""
+        unknown = np.full((2, len(place)), np.nan)
+        return cls(place, tangential, force, other, unknown[0], unknown[1])
+
+    def rows(self, rows: Index | Mask) -> Equilibria:
+        return Equilibria(*(column[rows] for column in self))  # type: ignore[arg-type]
+
+    def put(self, rows: Index | Mask, states: Equilibria) -> None:
+        for column, values in zip(self, states, strict=True):
+            column[rows] = values
 
 
 class _Clamped(NamedTuple):
@@ -135,14 +141,14 @@ def _newton(residuals: Callable[[Array, Index], Array], start: Array, scale: Arr
     return z, found
 
 
-def _solve(rod: Rod, course: Course, start: Equilibria, steps: int) -> Equilibria:
+def _solve(rod: Rod, course: Course, start: Equilibria) -> Equilibria:
     """Equilibria at the places of `start`, of its kinds, near its other values."""
 
     def misfit(z: Array, rows: Index) -> Array:
-        return _back(rod, course.rows(rows), start.place[rows], start.tangential[rows], z[0], z[1], steps).misfit
+        return _back(rod, course.rows(rows), start.place[rows], start.tangential[rows], z[0], z[1], _COARSE).misfit
 
     z, found = _newton(misfit, np.stack([start.force, start.other]), _scales(start.force))
-    return _known(rod, course, start._replace(force=z[0], other=z[1]), found & (z[0] >= 0), steps)
+    return _known(rod, course, start._replace(force=z[0], other=z[1]), found & (z[0] >= 0), _COARSE)
 
 
 def _known(rod: Rod, course: Course, states: Equilibria, found: Mask, steps: int) -> Equilibria:
@@ -153,17 +159,6 @@ def _known(rod: Rod, course: Course, states: Equilibria, found: Mask, steps: int
     return Equilibria(states.place, states.tangential, *columns)
 
 
-def _taken(states: Equilibria, rows: Index | Mask) -> Equilibria:
-    return Equilibria(
-        states.place[rows],
-        states.tangential[rows],
-        states.force[rows],
-        states.other[rows],
-        states.x0[rows],
-        states.moment[rows],
-    )
-
-
 def _scales(force: Array) -> Array:
     """The largest steps (2, n) of force and of the other unknown."""
     return np.stack([np.maximum(np.abs(force), 0.05) / 2, np.full(len(force), 0.2)])
@@ -172,50 +167,47 @@ def _scales(force: Array) -> Array:
 class Table(NamedTuple):
     """Equilibria of many sweeps along their paths, sorted by owner and place."""
 
+    sweeps: Course
+    """(k,) of the owners."""
     owner: Index
-    course: Course
     states: Equilibria
 
-    def merged(self, owner: Index, course: Course, states: Equilibria) -> Table:
+    @property
+    def course(self) -> Course:
+        return self.sweeps.rows(self.owner)
+
+    def merged(self, owner: Index, states: Equilibria) -> Table:
         """With further rows, each behind the rows of its owner at the same place."""
         owners = np.concatenate([self.owner, owner])
-        columns = [np.concatenate(pair) for pair in zip(self.states, states, strict=True)]
-        order = np.lexsort((np.arange(len(owners)), columns[0], owners))
-        joined = Course(
-            self.course.path,
-            np.concatenate([self.course.friction_angle, course.friction_angle])[order],
-            np.concatenate([self.course.first, course.first])[order],
-            np.concatenate([self.course.last, course.last])[order],
-        )
-        return Table(owners[order], joined, Equilibria(*(column[order] for column in columns)))
+        joined = Equilibria(*(np.concatenate(pair) for pair in zip(self.states, states, strict=True)))
+        order = np.lexsort((joined.place, owners))
+        return Table(self.sweeps, owners[order], joined.rows(order))
 
     def following(self) -> Index:
         """The rows whose next row is of the same owner."""
         return np.flatnonzero(self.owner[1:] == self.owner[:-1])
 
 
-def table(rod: Rod, path: Path, contour: Index, friction_angle: Array) -> Table:
-    """The equilibria of sweeps (k,) along contours of the path, each with one angle of friction."""
-    first, stop = path.offsets[contour], path.offsets[contour + 1]
+def table(rod: Rod, sweeps: Course) -> Table:
+    """The equilibria of sweeps (k,)."""
+    path = sweeps.path
+    first, stop = path.offsets[sweeps.contour], path.offsets[sweeps.contour + 1]
     count = stop - first + 1
-    owner = np.repeat(np.arange(len(contour)), count)
+    owner = np.repeat(np.arange(len(count)), count)
     place = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)).astype(float)
-    course = Course.of(path, contour[owner], friction_angle[owner])
+    course = sweeps.rows(owner)
     slope, x, y = course.at(place)
     tangential = equilibria.is_tangential(slope, y, course.friction_angle)
     uniform = equilibria.states(tangential, slope, x, y, course.friction_angle)
     alpha = slope + course.friction_angle
     k = np.sqrt(np.sin(alpha / 2) ** 2 + uniform.q**2)
     tip_slope = alpha + np.pi / 2 - 2 * np.arcsin(np.minimum(k, 1.0))  # (12)
-    unknown = np.full(len(place), np.nan)
-    other = np.where(tangential, uniform.s1, tip_slope)
     force = uniform.root_f**2 * _softness(rod, np.where(tangential, np.minimum(uniform.s1, 1.0), 1.0))
-    start = Equilibria(place, tangential, force, other, unknown, unknown)
-    found = _of_either_kind(rod, course, start)
-    result = Table(owner, course, found)
-    result = _from_touch_down(rod, _led_on(rod, result))
-    result = _with_transitions(rod, _with_ends(rod, result))
-    return _with_folds(rod, result)
+    start = Equilibria.near(place, tangential, force, np.where(tangential, uniform.s1, tip_slope))
+    result = _from_touch_down(rod, _led_on(rod, Table(sweeps, owner, _of_either_kind(rod, course, start))))
+    for _ in range(_HALVINGS):
+        result = _halved(rod, result)
+    return result
 
 
 def _softness(rod: Rod, s1: Array) -> Array:
@@ -228,19 +220,16 @@ def _softness(rod: Rod, s1: Array) -> Array:
 
 def _of_either_kind(rod: Rod, course: Course, start: Equilibria) -> Equilibria:
     """Equilibria near the start, tangential where the rod is long enough, with the tip otherwise."""
-    found = _solve(rod, course, start, _COARSE)
+    found = _solve(rod, course, start)
     for _ in range(2):
         slope = course.at(found.place)[0]
-        too_short = found.tangential & (found.other > 1)
-        inside = ~found.tangential & (found.other < slope)
-        rows = np.flatnonzero(too_short | inside)
+        rows = np.flatnonzero(np.where(found.tangential, found.other > 1, found.other < slope))
         if not len(rows):
             break
-        turned = _taken(found, rows)
+        turned, part = found.rows(rows), course.rows(rows)
         kind = ~turned.tangential
-        turned = turned._replace(tangential=kind, other=_as_kind(course.rows(rows), turned, kind))
-        for column, values in zip(found, _solve(rod, course.rows(rows), turned, _COARSE), strict=True):
-            column[rows] = values
+        turned = turned._replace(tangential=kind, other=_as_kind(part, turned, kind))
+        found.put(rows, _solve(rod, part, turned))
     else:
         slope = course.at(found.place)[0]
         neither = np.where(found.tangential, found.other > 1 + _SOLVED, found.other < slope - _SOLVED)
@@ -251,72 +240,44 @@ def _of_either_kind(rod: Rod, course: Course, start: Equilibria) -> Equilibria:
 
 def _led_on(rod: Rod, table: Table) -> Table:
     """Rows without an equilibrium, tried from their neighbours' ones, as long as that finds any."""
-    states = table.states
+    states, course = table.states, table.course
     while True:
         known = np.isfinite(states.force)
         rows = table.following()
         after, before = rows[known[rows] & ~known[rows + 1]], rows[~known[rows] & known[rows + 1]]
-        tried, source = np.concatenate([after + 1, before]), np.concatenate([after, before + 1])
-        tried, where = np.unique(tried, return_index=True)
-        source = source[where]
+        tried, where = np.unique(np.concatenate([after + 1, before]), return_index=True)
+        source = np.concatenate([after, before + 1])[where]
         if not len(tried):
             break
-        slope, other = table.course.at(states.place)[0], states.other[source]
-        other = np.where(states.tangential[source], other, other + slope[tried] - slope[source])
-        start = Equilibria(
-            states.place[tried],
-            states.tangential[source],
-            states.force[source],
-            other,
-            *np.full((2, len(tried)), np.nan),
-        )
-        found = _of_either_kind(rod, table.course.rows(tried), start)
+        slope, other, kind = course.at(states.place)[0], states.other[source], states.tangential[source]
+        other = np.where(kind, other, other + slope[tried] - slope[source])
+        start = Equilibria.near(states.place[tried], kind, states.force[source], other)
+        found = _of_either_kind(rod, course.rows(tried), start)
         if not np.isfinite(found.force).any():
             break
-        for column, values in zip(states, found, strict=True):
-            column[tried] = values
+        states.put(tried, found)
     return table
 
 
 def _from_touch_down(rod: Rod, table: Table) -> Table:
-    """With the place of touch-down of each owner, where the force vanishes, and places that approach it."""
+    """With the place of touch-down of each owner, where the force vanishes."""
     states = table.states
     forced = np.flatnonzero(states.force > 0)
     rows = forced[np.unique(table.owner[forced], return_index=True)[1]]
-    owner, course, first = table.owner[rows], table.course.rows(rows), _taken(states, rows)
-    zero, found, touched = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), _taken(states, rows)
+    owner, first = table.owner[rows], states.rows(rows)
+    course, zero, found = table.sweeps.rows(owner), np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
     for tangential in (first.tangential, ~first.tangential):
-        other = _as_kind(course, first, tangential)
 
         def misfit(z: Array, some: Index, kind: Mask = tangential) -> Array:
             return _back(rod, course.rows(some), z[0], kind[some], zero[some], z[1], _COARSE).misfit
 
+        other = _as_kind(course, first, tangential)
         z, solved = _newton(misfit, np.stack([first.place, other]), np.full((2, len(rows)), 0.5))
-        slope = course.at(z[0])[0]
-        solved &= np.where(tangential, z[1] <= 1 + _SOLVED, z[1] >= slope - _SOLVED)
-        solved &= (z[0] <= first.place) & (z[0] >= course.first - _SOLVED) & ~found
-        at = _known(rod, course, Equilibria(z[0], tangential, zero, z[1], zero, zero), solved, _COARSE)
-        for column, values in zip(touched, at, strict=True):
-            column[solved] = values[solved]
+        solved &= np.where(tangential, z[1] <= 1 + _SOLVED, z[1] >= course.at(z[0])[0] - _SOLVED)
+        solved &= (z[0] <= first.place) & (z[0] >= course.path.offsets[course.contour] - _SOLVED) & ~found
+        at = _known(rod, course, Equilibria.near(z[0], tangential, zero, z[1]), solved, _COARSE)
+        table = table.merged(owner[solved], at.rows(solved))
         found |= solved
-    owner, course, first, touched = owner[found], course.rows(found), _taken(first, found), _taken(touched, found)
-    table = table.merged(owner, course, touched)
-    # force and slope approach theirs as the distance, or as its root where a force across a straight rod lowers its tip
-    kind, end = touched.tangential, _as_kind(course, first, touched.tangential)
-    gap, change = first.force, end - touched.other
-    ratio = np.full(len(owner), np.sqrt(0.5))
-    for j in range(1, _GRADED):
-        place = touched.place + 0.5**j * (first.place - touched.place)
-        for guess in (ratio, np.full(len(owner), 0.5)):
-            start = Equilibria(place, kind, gap * guess, touched.other + change * guess, zero[found], zero[found])
-            states = _of_either_kind(rod, course, start)
-            if np.isfinite(states.force).all():
-                break
-        known = np.isfinite(states.force)
-        ratio = np.where(known, np.clip(states.force / gap, 0.4, 0.8), ratio)
-        gap = np.where(known, states.force, gap * ratio)
-        change = np.where(known & (states.tangential == kind), states.other - touched.other, change * ratio)
-        table = table.merged(owner[known], course.rows(known), _taken(states, known))
     return table
 
 
@@ -326,71 +287,44 @@ def _as_kind(course: Course, states: Equilibria, tangential: Mask) -> Array:
     return np.where(tangential == states.tangential, states.other, meeting)
 
 
-def _with_ends(rod: Rod, table: Table) -> Table:
-    """With places closer to those at which a row of equilibria begins or ends."""
-    for _ in range(_HALVINGS):
-        known, rows = np.isfinite(table.states.force), table.following()
-        rows = rows[known[rows] != known[rows + 1]]
-        source = np.where(known[rows], rows, rows + 1)
-        start = _taken(table.states, source)
-        start = start._replace(place=(table.states.place[rows] + table.states.place[rows + 1]) / 2)
-        course = table.course.rows(rows)
-        table = table.merged(table.owner[rows], course, _of_either_kind(rod, course, start))
-    return table
-
-
-def _with_transitions(rod: Rod, table: Table) -> Table:
-    """With the places at which tip and tangential contact change into each other, once as the one and once as the other."""
+def _halved(rod: Rod, table: Table) -> Table:
+    """With places in the middle of intervals in which a branch begins or ends, changes its kind, leaves touch-down, or on
+    either side of a place at which the base position is least."""
     states, rows = table.states, table.following()
-    rows = rows[np.isfinite(states.force[rows]) & np.isfinite(states.force[rows + 1])]
-    rows = rows[states.tangential[rows] != states.tangential[rows + 1]]
-    course, low = table.course.rows(rows), states.place[rows]
-    tip = np.zeros(len(rows), dtype=bool)
+    known, x0 = np.isfinite(states.force), np.where(np.isfinite(states.x0), states.x0, np.inf)
+    before, after = known[rows], known[rows + 1]
+    least = np.zeros(len(known) + 1, dtype=bool)
+    least[1:-2] = (x0[1:-1] < x0[:-2]) & (x0[1:-1] < x0[2:])
+    turns = (least[rows] | least[rows + 1]) & before & after
+    touched = (states.force[rows] == 0) | (states.force[rows + 1] == 0)
+    chosen = (
+        (before != after)
+        | turns
+        | (before & after & (touched | (states.tangential[rows] != states.tangential[rows + 1])))
+    )
+    chosen &= states.place[rows + 1] - states.place[rows] > _SOLVED
+    rows, between = rows[chosen], (before & after)[chosen]
+    owner, course = table.owner[rows], table.course.rows(rows)
+    first, second = states.rows(rows), states.rows(rows + 1)
+    middle = (first.place + second.place) / 2
+    second = second._replace(other=_as_kind(table.course.rows(rows + 1), second, first.tangential))
+    start = states.rows(np.where(known[rows], rows, rows + 1))
+    start.put(between, _mixed(first, second, np.full(len(rows), 0.5)).rows(between))
+    found = _of_either_kind(rod, course, start._replace(place=middle))
+    # force and slope approach touch-down as the distance, or as its root where a force across a straight rod lowers its tip
+    again = np.flatnonzero(~np.isfinite(found.force) & between)
+    root = _mixed(first.rows(again), second.rows(again), np.full(len(again), np.sqrt(0.5)))
+    found.put(again, _of_either_kind(rod, course.rows(again), root._replace(place=middle[again])))
+    kept = np.isfinite(found.force) | ~between
+    return table.merged(owner[kept], found.rows(kept))
 
-    def misfit(z: Array, some: Index) -> Array:
-        part = course.rows(some)
-        return _back(rod, part, z[0], tip[some], z[1], part.at(z[0])[0], _COARSE).misfit
 
-    start = np.stack([(low + states.place[rows + 1]) / 2, (states.force[rows] + states.force[rows + 1]) / 2])
-    z, found = _newton(misfit, start, np.stack([states.place[rows + 1] - low, _scales(start[1])[0]]))
-    found &= (z[0] >= low) & (z[0] <= states.place[rows + 1])
-    course, owner, z, rows = course.rows(found), table.owner[rows[found]], z[:, found], rows[found]
-    for side in (rows, rows + 1):
-        kind = states.tangential[side]
-        other = np.where(kind, 1.0, course.at(z[0])[0])
-        unknown = np.full(len(rows), np.nan)
-        at = _known(
-            rod, course, Equilibria(z[0], kind, z[1], other, unknown, unknown), np.ones(len(rows), bool), _COARSE
-        )
-        table = table.merged(owner, course, at)
-    return table
-
-
-def _with_folds(rod: Rod, table: Table) -> Table:
-    """With the places at which the base position is least, by parabolas through three neighbours."""
-    for _ in range(3):
-        states = table.states
-        inner = np.intersect1d(table.following(), table.following() + 1)
-        x0, place = states.x0, states.place
-        lowest = inner[(x0[inner] < x0[inner - 1]) & (x0[inner] < x0[inner + 1])]
-        lowest = lowest[
-            (states.tangential[lowest - 1] == states.tangential[lowest])
-            & (states.tangential[lowest + 1] == states.tangential[lowest])
-        ]
-        a, b = place[lowest] - place[lowest - 1], place[lowest + 1] - place[lowest]
-        down, up = (x0[lowest] - x0[lowest - 1]) / a, (x0[lowest + 1] - x0[lowest]) / b
-        with np.errstate(all="ignore"):
-            at = place[lowest] - (down * b + up * a) / (2 * (up - down))
-        apart = (np.abs(at - place[lowest]) > 1e-9) & (at > place[lowest - 1]) & (at < place[lowest + 1])
-        rows, at = lowest[apart], at[apart]
-        if not len(rows):
-            break
-        start = _taken(states, rows)._replace(place=at)
-        course = table.course.rows(rows)
-        found = _solve(rod, course, start, _COARSE)
-        keep = np.isfinite(found.force)
-        table = table.merged(table.owner[rows[keep]], course.rows(keep), _taken(found, keep))
-    return table
+def _mixed(first: Equilibria, second: Equilibria, part: Array) -> Equilibria:
+    """Between two equilibria of the kind of the first, at fractions (n,) of the way."""
+    place, force, other, x0, moment = (
+        a + part * (b - a) for a, b in zip((first[0], *first[2:]), (second[0], *second[2:]), strict=True)
+    )
+    return Equilibria(place, first.tangential, force, other, x0, moment)
 
 
 def _located(table: Table, owner: Index, x0: Array) -> tuple[Equilibria, Mask]:
@@ -410,69 +344,60 @@ def _located(table: Table, owner: Index, x0: Array) -> tuple[Equilibria, Mask]:
     touches &= np.isfinite(reached[row]) & np.isfinite(reached[row + 1])
     with np.errstate(all="ignore"):
         part = (reached[row] - x0) / (reached[row] - reached[row + 1])
-        return _mixed(_taken(table.states, row), _taken(table.states, row + 1), part), touches
+        return _mixed(table.states.rows(row), table.states.rows(row + 1), part), touches
 
 
-def spans(rod: Rod, path: Path, friction_angle: Array) -> Array:
-    """Base positions (contours, 2) at which sweeps of the contours (with friction angles) touch and at which they end."""
-    contours = np.arange(len(friction_angle))
-    states = table(rod, path, contours, friction_angle)
-    span = np.full((len(contours), 2), np.nan)
-    rows = np.flatnonzero(np.isfinite(states.states.x0))[::-1]
-    span[states.owner[rows], 0] = states.states.x0[rows]
-    np.fmin.at(span[:, 1], states.owner, states.states.x0)
-    return span
+class Tables(NamedTuple):
+    """Tables of each contour (c,) at one angle of friction, or at some evenly spaced ones."""
+
+    table: Table
+    lowest: Array
+    spacing: Array
+    levels: Index
+    first: Index
+    """The owner of each contour's lowest angle."""
+
+    @property
+    def spans(self) -> Array:
+        """Base positions (c, 2) at which sweeps with the lowest angles touch and at which they end."""
+        span, x0 = np.full((len(self.table.sweeps.contour), 2), np.nan), self.table.states.x0
+        rows = np.flatnonzero(np.isfinite(x0))[::-1]
+        span[self.table.owner[rows], 0] = x0[rows]
+        np.fmin.at(span[:, 1], self.table.owner, x0)
+        return span[self.first]
 
 
-def states(rod: Rod, path: Path, contour: Index, friction_angle: Array, x0: Array) -> Equilibria:
-    """The states (n,) of sweeps along contours with friction angles at base positions; NaN where the rod does not touch."""
-    # each contour is tabulated at one angle or at some evenly spaced ones, between two of which a sample is sought
-    contours = len(path.offsets) - 1
-    lowest, highest = np.full(contours, np.inf), np.full(contours, -np.inf)
-    np.minimum.at(lowest, contour, friction_angle)
-    np.maximum.at(highest, contour, friction_angle)
-    count = np.where(highest > lowest, _LEVELS, 1) * (highest >= lowest)
-    owner = np.repeat(np.arange(contours), count)
+def tables(rod: Rod, path: Path, lowest: Array, highest: Array) -> Tables:
+    """The tables of contours (c,) of a path between angles of friction."""
+    count = np.where(highest > lowest, _LEVELS, 1)
+    owner = np.repeat(np.arange(len(count)), count)
     first = np.cumsum(count) - count
     spacing = np.where(highest > lowest, highest - lowest, 1.0) / (_LEVELS - 1)
-    tables = table(rod, path, owner, lowest[owner] + (np.arange(len(owner)) - first[owner]) * spacing[owner])
-    position = (friction_angle - lowest[contour]) / spacing[contour]
-    level = np.minimum(position.astype(np.intp), np.maximum(count[contour] - 2, 0))
-    low, high = (_located(tables, first[contour] + k, x0) for k in (level, np.minimum(level + 1, count[contour] - 1)))
+    angle = lowest[owner] + (np.arange(len(owner)) - first[owner]) * spacing[owner]
+    return Tables(table(rod, Course(path, owner, angle)), lowest, spacing, count, first)
+
+
+def states(rod: Rod, tables: Tables, course: Course, x0: Array) -> Equilibria:
+    """The states (n,) of sweeps along a course at base positions; NaN where the rod does not touch."""
+    contour = course.contour
+    position = (course.friction_angle - tables.lowest[contour]) / tables.spacing[contour]
+    first, count = tables.first[contour], tables.levels[contour]
+    level = np.minimum(position.astype(np.intp), np.maximum(count - 2, 0))
+    low, high = (_located(tables.table, first + k, x0) for k in (level, np.minimum(level + 1, count - 1)))
     alike = low[1] & high[1] & (low[0].tangential == high[0].tangential)
-    part, course = position - level, Course.of(path, contour, friction_angle)
     with np.errstate(invalid="ignore"):
         alike &= np.abs(low[0].place - high[0].place) < 1
-        start = _mixed(low[0], high[0], part)
-    result = _empty(len(x0))
+        start = _mixed(low[0], high[0], position - level)
+    result = Equilibria(np.full(len(x0), np.nan), np.zeros(len(x0), dtype=bool), *np.full((4, len(x0)), np.nan))
     rows = np.flatnonzero(alike)
-    _put(result, rows, _solved(rod, course.rows(rows), _taken(start, rows), x0[rows]))
+    result.put(rows, _solved(rod, course.rows(rows), start.rows(rows), x0[rows]))
     # samples in different states at the two angles are sought in tables of their own
-    rows = np.flatnonzero((low[1] | high[1]) & ~np.isfinite(result.x0) & (count[contour] > 1))
+    rows = np.flatnonzero((low[1] | high[1]) & ~np.isfinite(result.x0) & (count > 1))
     for some in np.array_split(rows, -(-len(rows) // _TABLES)) if len(rows) else []:
-        own = table(rod, path, contour[some], friction_angle[some])
-        start, touches = _located(own, np.arange(len(some)), x0[some])
+        start, touches = _located(table(rod, course.rows(some)), np.arange(len(some)), x0[some])
         inside = some[touches]
-        _put(result, inside, _solved(rod, course.rows(inside), _taken(start, touches), x0[inside]))
+        result.put(inside, _solved(rod, course.rows(inside), start.rows(touches), x0[inside]))
     return result
-
-
-def _mixed(first: Equilibria, second: Equilibria, part: Array) -> Equilibria:
-    """Between two equilibria of the kind of the first, at fractions (n,) of the way."""
-    place, force, other, x0, moment = (
-        a + part * (b - a) for a, b in zip((first[0], *first[2:]), (second[0], *second[2:]), strict=True)
-    )
-    return Equilibria(place, first.tangential, force, other, x0, moment)
-
-
-def _empty(n: int) -> Equilibria:
-    unknown = np.full((5, n), np.nan)
-    return Equilibria(unknown[0], np.zeros(n, dtype=bool), unknown[1], unknown[2], unknown[3], unknown[4])
-
-
-def _put(result: Equilibria, rows: Index, states: Equilibria) -> None:
-    for column, values in zip(result, states, strict=True):
-        column[rows] = values
 
 
 def _solved(rod: Rod, course: Course, start: Equilibria, x0: Array) -> Equilibria:

@@ -372,25 +372,25 @@ def _parted(swept: Sweep, x0: list[Array]) -> list[Sweep]:
 
 def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array, rod: Rod) -> list[Sweep]:
     """`_sweep_path` for any rod."""
-    spans = np.zeros((len(bases), 2))
-    if any(base is None for base in bases):
-        lowest = np.array([np.arctan(mu.min()) if mu.size else 0.0 for mu in frictions])
-        spans = rod_sweeps.spans(rod, path, lowest)
-        if np.isnan(spans).any():
-            raise ValueError("the object is out of the rod's reach: nowhere on it is the rod in equilibrium")
+    lowest, highest = (
+        np.array([np.arctan(end(mu)) if mu.size else 0.0 for mu in frictions]) for end in (np.min, np.max)
+    )
+    tables = rod_sweeps.tables(rod, path, lowest, highest)
+    if any(base is None for base in bases) and np.isnan(tables.spans).any():
+        raise ValueError("the object is out of the rod's reach: nowhere on it is the rod in equilibrium")
     x0 = [
         np.where(spread == 1, end, start + spread * (end - start)) if base is None else base
-        for base, (start, end) in zip(bases, spans, strict=True)
+        for base, (start, end) in zip(bases, tables.spans, strict=True)
     ]
     _check_sizes(frictions, x0)
     contour = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
     friction = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
     base = np.concatenate(x0)
     angle = np.arctan(friction)
-    states = rod_sweeps.states(rod, path, contour, angle, base)
+    course = rod_sweeps.Course(path, contour, angle)
+    states = rod_sweeps.states(rod, tables, course, base)
     swept, touching = _empty(base, friction), np.isfinite(states.x0)
-    piece = np.clip(np.nan_to_num(states.place).astype(np.intp), path.offsets[contour], path.offsets[contour + 1] - 1)
-    slope, x, y = path.at(piece, states.place - piece)
+    slope, x, y = course.at(states.place)
     weight = rod.weight * rod.down
     swept.f0x[:], swept.f0y[:] = -states.force * np.sin(slope + angle), states.force * np.cos(slope + angle)
     swept.f0x[:], swept.f0y[:], swept.m0z[:] = swept.f0x - weight[0], swept.f0y - weight[1], -states.moment

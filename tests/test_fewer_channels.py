@@ -1,5 +1,8 @@
 """Contacts from two of three reactions, against the sweep that made them and against drawn noise."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -105,3 +108,71 @@ def test_what_must_be_known_is_said():
             planar.complete(*columns, **options)
     with pytest.raises(ValueError, match="missing must be one of"):
         planar.errors(*sweep.reactions[1:], noise=(1e-3, 1e-3), missing="fz")
+
+
+ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)
+
+
+@pytest.mark.parametrize(("friction", "direction", "rod"), [(0.0, -1, None), (0.3, 1, None), (0.2, -1, CONE)])
+def test_the_moment_alone_is_enough_along_a_sweep(friction, direction, rod):
+    off = []
+    for samples in (40, 80):
+        swept = planar.sweep(ELLIPSE, friction, samples=samples, direction=direction, rod=rod)
+        rows = np.flatnonzero((swept.phase == planar.Phase.TANGENTIAL) & felt(swept))
+        rows = rows[: np.argmin(np.append(np.diff(rows) == 1, False)) + 1]
+        given = swept.x0[rows], swept.m0z[rows], float(swept.s1[rows[0]])
+        done = planar.complete_by_moment(*given, friction=friction, direction=direction, rod=rod)
+        found = planar.reconstruct(*done, tolerance=1e-3, direction=direction, rod=rod)
+        assert (found.status == planar.Status.OK).all()
+        np.testing.assert_allclose(found.friction, friction, atol=1e-6)
+        off.append(ELLIPSE.distance(found.point).max())
+        assert np.abs(found.point - swept.point[rows]).max() < 40 * off[-1]
+    # of the second order in the step
+    assert off[0] < 3e-4
+    assert off[1] < 0.4 * off[0]
+    # an error of the start dies out
+    wrong = planar.complete_by_moment(*given[:2], given[2] - 0.01, friction=friction, direction=direction, rod=rod)
+    apart = planar.reconstruct(*wrong, tolerance=1e-2, direction=direction, rod=rod).point - swept.point[rows]
+    assert np.hypot(*apart[-1]) < 0.2 * np.hypot(*apart[0])
+
+
+def test_single_touches_are_located_by_a_push():
+    # published values, and the rod itself: contact with the tip of a body that is pushed by little
+    np.testing.assert_allclose(planar.touched_at([5.833333333, 2.037037037], rod=CONE), [0.6, 0.9], atol=1e-8)
+    s1 = np.linspace(0.05, 1.0, 20)
+    np.testing.assert_allclose(planar.touched_at(3 / s1**2), s1, atol=1e-9)
+    np.testing.assert_allclose(
+        planar.touched_at(-1 / (s1 / 3 * s1 + 0.05 * s1), rod=planar.Rod(compliance=0.05)), s1, atol=1e-6
+    )
+    assert np.isnan(planar.touched_at(2.9)).all()
+    with pytest.raises(ValueError, match="straight rod without weight"):
+        planar.touched_at(3.0, rod=planar.Rod(curvature=0.1))
+    with pytest.raises(ValueError, match="start must be an arc length"):
+        planar.complete_by_moment([0.0], [0.1], 1.2)
+
+
+# bending stiffness that falls to a twelfth, as that of beams made for such sensors
+BEAM = planar.Rod(stiffness=[[s, 12.0**-s] for s in np.linspace(0, 1, 7)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [2, pytest.param(30, marks=pytest.mark.trust)])
+def test_errors_by_axial_force_and_moment_are_those_of_drawn_noise(seeds):
+    swept, noise = planar.sweep(CIRCLE, 0.0, samples=14, rod=BEAM), 1e-4
+    rows = np.flatnonzero((swept.phase == planar.Phase.TANGENTIAL) & (np.abs(swept.f0x) > 0.1))
+    true = np.tile(np.array(swept.reactions)[:, rows], seeds)
+    x0, _, f0y, m0z = true + noise * np.random.default_rng(0).standard_normal(true.shape) * [[0], [1], [1], [1]]
+    done = planar.complete(x0, None, f0y, m0z, friction=0.0, near=true[1], rod=BEAM)
+    off = planar.reconstruct(*done.reactions, rod=BEAM, tolerance=0.02).point - np.tile(swept.point[rows], (seeds, 1))
+    reactions = [column[rows] for column in swept.reactions[1:]]
+    tip = np.zeros(len(rows), dtype=bool)
+    stated = planar.errors(*reactions, noise=(noise, noise), rod=BEAM, missing="f0x", tip=tip)
+    inverse = np.tile(np.linalg.inv(stated.point), (seeds, 1, 1))
+    chi = np.einsum("ni,nij,nj->n", off, inverse, off) / 2
+    assert len(chi) > 8 * seeds
+    assert abs(chi.mean() - 1) < max(0.2, 5 / np.sqrt(len(chi)))
+
+
+def test_channels_are_completed_by_nothing_else_imported():
+    code = "import planar; print(planar.complete([0.0], [-0.5], [0.15], None, friction=0.2).roots[0])"
+    assert int(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout) >= 0
