@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.geometry.hulls import hull
-from scan3d.reconstruction.facets import facets, with_facet_normals
+from scan3d.reconstruction.facets import completed, facets, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
 
@@ -65,8 +65,21 @@ def test_a_polyhedron_all_of_whose_contacts_lie_on_facets_is_exact():
     body = polytope(12, 4)
     cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=24, spacing="cosine", samples=48)))
     surface = scan3d.surface(cloud)
-    assert "all contacts lie on them" in surface.metadata["reason"]
+    assert "on which the contacts lie" in surface.metadata["reason"]
     assert scan3d.compare(surface, body).hausdorff < 1e-9 * body.scale
+
+
+def test_a_facet_that_one_slice_meets_is_found_between_the_vertices_beside_it():
+    """Further facets are recovered from vertices, where four of them meet; without them three vertices are missed."""
+    body = polytope(50, 7)
+    cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=48, friction=(0.0, 0.4), samples=48)))
+    planes, true = facets(cloud), planes_of(body)
+    more = completed(planes, cloud, body.vertices)
+    assert len(planes) < len(more)
+    assert np.abs(more[:, None] - true).max(axis=2).min(axis=1).max() < 1e-9 * body.scale
+    surface = scan3d.surface(cloud)
+    assert f"{len(more)} facets" in surface.metadata["reason"]
+    assert scan3d.compare(surface, body).relative < 5e-5
 
 
 @pytest.mark.trust

@@ -33,16 +33,52 @@ def facets(cloud: Cloud) -> Array:
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     parts = [_of_stack(stack, cloud.points, size) for stack in stacks(cloud)]
     planes, error = (np.concatenate(column) for column in zip(*parts, strict=True))
-    planes = planes[np.argsort(error, kind="stable")]
-    # every pair of sides of a facet gives its plane: the one that is known best stays
+    return _distinct(planes[np.argsort(error, kind="stable")], size)
+
+
+def _distinct(planes: Array, size: float) -> Array:
+    """Planes (k, 4) without repetition: every pair of sides of a facet gives its plane, and the first stays."""
     again = cKDTree(planes / [1, 1, 1, size]).query_pairs(_SAME, output_type="ndarray")[:, 1]
     return np.delete(planes, again, axis=0)
+
+
+def completed(planes: Array, cloud: Cloud, vertices: Array) -> Array:
+    """Planes (k, 4) of facets, and those through further sides that contacts and vertices (v, 3) of the body leave one slope.
+
+    The body has a plane through each side, and lies behind it: points above the side's slice bound its slope from one side,
+    and points below from the other.  Where the bounds agree, a facet is met by one slice and ends in vertices on both sides.
+    """
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    found = [planes]
+    for stack in stacks(cloud):
+        points = np.concatenate([cloud.points, vertices]) @ stack.frame.T
+        normals, offsets = planes[:, :3] @ stack.frame.T, planes[:, 3]
+        for slice_ in stack.slices:
+            angle, value, length, start = _sides(slice_, size)
+            across = np.stack([np.cos(angle), np.sin(angle)])
+            along = np.stack([-across[1], across[0]])
+            known = np.ones((len(planes), len(angle)), dtype=bool)
+            for place in (start, start + length):
+                heights = normals[:, :2] @ (value * across + place * along) + normals[:, 2:] * slice_.height
+                known &= np.abs(heights - offsets[:, None]) <= NEGLIGIBLE * size
+            across, value = across[:, ~known.any(axis=0)], value[~known.any(axis=0)]
+            above = points[:, 2] - slice_.height
+            apart = np.abs(above) > NEGLIGIBLE * size
+            slope = (points[apart, :2] @ across - value) / above[apart, None]
+            upper = above[apart] > 0
+            low, high = slope[upper].max(axis=0, initial=-np.inf), slope[~upper].min(axis=0, initial=np.inf)
+            fits = high - low <= _SAME
+            slope, value = (low + high)[fits] / 2, value[fits]
+            through = np.column_stack([across[:, fits].T, -slope, value - slope * slice_.height])
+            through /= np.linalg.norm(through[:, :3], axis=1)[:, None]
+            found.append(np.column_stack([through[:, :3] @ stack.frame, through[:, 3]]))
+    return _distinct(np.concatenate(found), size)
 
 
 def _of_stack(stack: SliceStack, points: Array, size: float) -> tuple[Array, Array]:
     """Planes (p, 4) through sides with one normal in slices that follow each other, and their errors (p,)."""
     sides = [_sides(slice_, size) for slice_ in stack.slices]
-    angle, value, length = np.concatenate(sides, axis=1)
+    angle, value, length, _ = np.concatenate(sides, axis=1)
     height = np.repeat(stack.heights, [side.shape[1] for side in sides])
     if len(angle) < 2:
         return np.empty((0, 4)), np.empty(0)
@@ -79,10 +115,10 @@ def _of_stack(stack: SliceStack, points: Array, size: float) -> tuple[Array, Arr
 
 
 def _sides(slice_: Slice, size: float) -> Array:
-    """Angles of the normals, support values and lengths (3, s) of the sides of a slice's contour that its contacts show."""
+    """Sides of a slice's contour that its contacts show: angles of the normals, support values, lengths and starts (4, s)."""
     corners, points, near = slice_.outline, slice_.points, NEGLIGIBLE * size
     if not len(corners):
-        return np.empty((3, 0))
+        return np.empty((4, 0))
 
     def seen_at(places: Array) -> Array:
         x, y = (places - slice_.outline.mean(axis=0)).T
@@ -107,8 +143,9 @@ def _sides(slice_: Slice, size: float) -> Array:
         angle[k[measured]] = np.arctan2(*slice_.normals[measured].T[::-1])
         shown[k[measured]] = True
     shown &= length > near
-    direction = np.stack([np.cos(angle), np.sin(angle)])
-    return np.stack([angle, (direction * corners.T).sum(axis=0), length])[:, shown]
+    direction, (x, y) = np.stack([np.cos(angle), np.sin(angle)]), corners.T
+    start = direction[0] * y - direction[1] * x
+    return np.stack([angle, (direction * corners.T).sum(axis=0), length, start])[:, shown]
 
 
 def with_facet_normals(cloud: Cloud) -> Cloud:

@@ -150,21 +150,26 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     if whole is not None and whole.facets:
         # held-out slices would say less of them: facets that one of the others has met alone are unknown then
         return _labelled(
-            between(whole, 1.0), "bracket", f"a polyhedron of {whole.facets} facets: all contacts lie on them"
+            between(whole, UNKNOWN), "bracket", f"a polyhedron of {whole.facets} facets, on which the contacts lie"
         )
-    of_kept, part = _estimates(kept, None, by_cells)
-    falls = _falls(part, whole, held_out)
-    errors = {name: error_of_surface(make(), held_out, falls) for name, make in of_kept.items()}
-    best = min(errors, key=lambda name: errors[name].expected)
+    of_kept, _ = _estimates(kept, None, by_cells)
+    bent = next(iter(of_kept))
+    errors = {bent: error_of_surface(of_kept.pop(bent)(), held_out)}
+    if fit is not None and not cloud.noisy and fit.judged <= errors[bent].judged:
+        return _fitted(
+            cloud, lie_within(fit)
+        )  # the first estimate is that of bent bodies, and no other is better there
+    errors |= {name: error_of_surface(make(), held_out) for name, make in of_kept.items()}
+    best = min(errors, key=lambda name: errors[name].judged)
     regressed = None
     if with_fit and cloud.noisy:
         with suppress(InputError):  # of so few contacts no planes that span a body can be fitted
             regressed = error_of_surface(regression(kept)[0], held_out)
     # a fit to all contacts is closer as well than that to the kept ones
-    least = min(error.as_held_out for error in (errors[best], regressed, fit) if error is not None)
-    if fit is not None and fit.as_held_out == least:
+    least = min(error.judged for error in (errors[best], regressed, fit) if error is not None)
+    if fit is not None and fit.judged == least:
         return _fitted(cloud, lie_within(fit))
-    if regressed is not None and regressed.as_held_out == least:
+    if regressed is not None and regressed.judged == least:
         return _regression(cloud, bounds, lie_within(regressed))
     mesh = estimates[best]()
     if cloud.model == "spatial":
@@ -184,22 +189,12 @@ def _estimates(cloud: Cloud, bounds: Enclosure | None, by_cells: bool) -> tuple[
     everywhere: Estimates = {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}
     if not len(found.contours):
         return everywhere, found
-    half_way = (found.local + UNKNOWN) / 2  # which errs by less where the turns mislead
     return {
         "as far from the contacts' hull as the slopes of neighbouring slices tell": partial(
             between, found, found.local
         ),
-        "half as far from the middle as the slopes of neighbouring slices tell": partial(between, found, half_way),
         **everywhere,
     }, found
-
-
-def _falls(part: Room | None, whole: Room | None, held_out: Cloud) -> Array | float:
-    """By which factors (n,) errors are expected to fall at held-out contacts: between slices as the room does."""
-    if part is None or whole is None:
-        return 1.0
-    gap, wider = whole.gap_at(held_out.points), part.gap_at(held_out.points)
-    return np.divide(gap, wider, out=np.ones(len(gap)), where=np.isfinite(wider) & (wider > gap))
 
 
 def _part_of_the_way(fraction: float) -> str:
@@ -278,13 +273,9 @@ class HeldOutError(NamedTuple):
     """Distances of held-out contacts from a surface made from the other contacts, in the cloud's unit."""
 
     largest: float
-    rms: float
-    """Of noisy contacts weighted by their inverse variances across the surface, without the part that noise explains."""
-    as_held_out: float
-    """What counts: the largest, and under noise, where one contact decides that, the rms."""
-    expected: float
-    """What is to be expected if no contacts are held out: of exact ones the rms over the largest error of each slice or sweep,
-    since the one largest of all depends on chance."""
+    judged: float
+    """What counts: the largest, and under noise, where one contact decides that, the rms weighted by the inverse variances
+    across the surface, without the part that noise explains."""
 
 
 def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
@@ -329,15 +320,11 @@ def _slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     return kept, cloud.select(~rows)
 
 
-def error_of_surface(surface: Any, held_out: Cloud, falls: Array | float = 1.0) -> HeldOutError:
-    """The error of a convex surface at held-out contacts (n,).
-
-    falls
-        by which factor the error is expected to fall around each of them when it is held out no more.
-    """
+def error_of_surface(surface: Any, held_out: Cloud) -> HeldOutError:
+    """The error of a convex surface at held-out contacts (n,)."""
     distance, _, foot = nearest(held_out.points, surface)
     with np.errstate(divide="ignore", invalid="ignore"):  # contacts on the surface itself have no direction to it
-        return _error(distance, (held_out.points - foot) / distance[:, None], held_out, falls)
+        return _error(distance, (held_out.points - foot) / distance[:, None], held_out)
 
 
 def error_of_fit(fit: SupportFit, kept: Cloud, held_out: Cloud) -> HeldOutError:
@@ -358,20 +345,15 @@ def error_of_fit(fit: SupportFit, kept: Cloud, held_out: Cloud) -> HeldOutError:
     return _error(((held_out.points - fitted.points(normals)) * normals).sum(axis=1), normals, held_out)
 
 
-def _error(distance: Array, directions: Array, held_out: Cloud, falls: Array | float = 1.0) -> HeldOutError:
+def _error(distance: Array, directions: Array, held_out: Cloud) -> HeldOutError:
     """The error of a surface at (n,) signed distances along directions (n, 3)."""
     largest = float(np.abs(distance).max())
     sd, own = held_out.sd_along(directions), held_out.sd_along(held_out.normals)
     if sd is None or own is None:
-        part = held_out.sweep if held_out.model == "spatial" else held_out.slice
-        number = np.unique(part, return_inverse=True)[1]
-        of_part = np.zeros(number.max() + 1)
-        np.maximum.at(of_part, number, np.abs(falls * distance))
-        rms, expected = (float(np.sqrt(np.mean(values**2))) for values in (distance, of_part))
-        return HeldOutError(largest, rms, largest, expected)
+        return HeldOutError(largest, largest)
     # at an edge the nearest point lies across another face than the contact's own
     sd = np.fmax(sd, own)
     weight = np.where(np.isfinite(sd), 1 / sd**2, 0.0)
     mean = float((weight * distance**2).sum() / weight.sum())
     rms = float(np.sqrt(max(mean - np.count_nonzero(weight) / weight.sum(), 0.0)))
-    return HeldOutError(largest, rms, rms, rms)  # noise does not fall
+    return HeldOutError(largest, rms)
