@@ -129,15 +129,10 @@ def _off_path(x0: Array, contacts: Contacts, tangential: Mask, place: Array, slo
 
 def refuse_second_contacts(contacts: Contacts, second: Mask) -> Contacts:
     """The contacts with the rows `second` (n,) refused: `Status.SECOND_CONTACT`, and no contact."""
+    changed = dict.fromkeys(("point", "s1", "force", "force_angle", "friction_angle_bound", "slope"), np.nan)
+    changed |= {"phase": Phase.NONE, "status": Status.SECOND_CONTACT, "normal_source": NormalSource.NONE}
     columns = {}
-    for name in ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope"):
-        columns[name] = getattr(contacts, name).copy()
-        columns[name][second] = np.nan
-    for name, value in (
-        ("phase", Phase.NONE),
-        ("status", Status.SECOND_CONTACT),
-        ("normal_source", NormalSource.NONE),
-    ):
+    for name, value in changed.items():
         columns[name] = getattr(contacts, name).copy()
         columns[name][second] = value
     return replace(contacts, **columns)
@@ -190,8 +185,6 @@ class Recovered(NamedTuple):
     """(n,) at the tip."""
     first_force: Array
     """(n,) at the first contact."""
-    first: Array
-    """(n, 2) place of the first contact."""
 
 
 def recover(
@@ -202,7 +195,6 @@ def recover(
     *,
     first: ArrayLike,
     friction: ArrayLike,
-    direction: int = -1,
 ) -> Recovered:
     """`recover_at_tip` of the rows (n,) of a sweep in their order, NaN where nothing confirms that the tip touches.
 
@@ -213,7 +205,7 @@ def recover(
     asked = np.isfinite(columns[-1])
     *reactions, places = (column[asked] for column in columns)
     mu = np.broadcast_to(np.asarray(friction, dtype=float), asked.shape)[asked]
-    part = recover_at_tip(*reactions, first=places, friction=mu, direction=direction)
+    part = recover_at_tip(*reactions, first=places, friction=mu)
     found = Recovered(*(np.full(asked.shape + values.shape[1:], np.nan) for values in part))
     for column, values in zip(found, part, strict=True):
         column[asked] = values
@@ -237,7 +229,6 @@ def recover_at_tip(
     *,
     first: ArrayLike,
     friction: ArrayLike,
-    direction: int = -1,
 ) -> Recovered:
     """The second contact of rods (n,) that touch with their tip as well, from the first one's arc length `first` (n,) (C12).
 
@@ -245,13 +236,7 @@ def recover_at_tip(
     direction ``τ_A + ζ`` for which the moment first vanishes at the tip.
     """
     base, across, along, moment = checked_reactions(x0, f0x, f0y, m0z)
-    side = -direction
-    across, moment = side * across, side * moment
-    s_a, zeta = (
-        np.broadcast_to(np.asarray(first, dtype=float), base.shape),
-        np.arctan(np.asarray(friction, dtype=float)),
-    )
-    zeta = np.broadcast_to(zeta, base.shape)
+    s_a, zeta = (np.broadcast_to(v, base.shape) for v in (np.asarray(first, dtype=float), np.arctan(friction)))
     up = np.full(base.shape, np.pi / 2)
     to_a = piece(-across, -along, up, -moment, s_a)
     pushed = np.stack([np.sin(to_a.phi + zeta), -np.cos(to_a.phi + zeta)])
@@ -277,6 +262,5 @@ def recover_at_tip(
     force = np.where(exists, (low + high) / 2, np.nan)
     fx, fy = -across - force * pushed[0], -along - force * pushed[1]
     tip = piece(fx, fy, to_a.phi, to_a.kappa, 1 - s_a)
-    point = np.stack([base + side * (to_a.x + tip.x), to_a.y + tip.y], axis=1)
-    place = np.stack([base + side * to_a.x, to_a.y], axis=1)
-    return Recovered(point, side * (np.arctan2(fx, -fy) - zeta), np.hypot(fx, fy), force, place)
+    point = np.stack([base + to_a.x + tip.x, to_a.y + tip.y], axis=1)
+    return Recovered(point, np.arctan2(fx, -fy) - zeta, np.hypot(fx, fy), force)

@@ -22,14 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.errors import felt
 from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
@@ -115,8 +114,6 @@ class Contours(NamedTuple):
     """(n, 3)"""
     distance: Array
     """(n,) within which the true contour lies."""
-    normal: Array
-    """(n, 3) axis of the slice."""
 
 
 def spacing_of(cloud: Cloud) -> float:
@@ -299,23 +296,18 @@ def _passed(lines: Array, on: Mask, bulge: Array, sheet: Index, sheets: int, siz
 
 
 def _in_hull(points: Array, shape: Index) -> Mask:
-    """Cells (shape[1], shape[0]) whose centres lie in the hull of points (n, 2), in cells, or within a cell of it."""
-    inside = np.zeros((shape[1], shape[0]), dtype=bool)
+    """Cells (shape[1], shape[0]) whose centres lie in the hull of points (n, 2), in cells, or within about a cell of it."""
     if not len(points):
-        return inside
-    hull = hull_about_mean(points)
-    corners = points if hull is None else points[hull.vertices]
-    a, b = corners, np.roll(corners, -1, axis=0)
-    rows = np.arange(shape[1])[:, None]
+        return np.zeros((shape[1], shape[0]), dtype=bool)
+    around = points[:, None] + np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    a, b, c = ConvexHull(around.reshape(-1, 2)).equations.T  # a x + b y + c <= 0 inside
+    rest = b * np.arange(shape[1])[:, None] + c
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (np.clip(rows, corners[:, 1].min(), corners[:, 1].max()) - a[:, 1]) / (b[:, 1] - a[:, 1])
-    x = np.where((share >= 0) & (share <= 1), a[:, 0] + share * (b[:, 0] - a[:, 0]), np.nan)
-    with np.errstate(invalid="ignore"):
-        left, right = np.fmin.reduce(x, axis=1), np.fmax.reduce(x, axis=1)
-        columns = np.arange(shape[0])
-        near = np.abs(rows[:, 0] - np.clip(rows[:, 0], corners[:, 1].min(), corners[:, 1].max())) < 1
-        inside = near[:, None] & (columns >= left[:, None] - 1) & (columns <= right[:, None] + 1)
-    return np.asarray(inside)
+        x = -rest / a
+    left, right = np.where(a < 0, x, -np.inf).max(axis=1), np.where(a > 0, x, np.inf).min(axis=1)
+    left[((a == 0) & (rest > 0)).any(axis=1)] = np.inf
+    columns = np.arange(shape[0])
+    return np.asarray((columns >= left[:, None]) & (columns <= right[:, None]))
 
 
 def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
@@ -371,4 +363,4 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
         distance += place_errors(cloud)[rows[nearest]]
     points = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
     # a corner of the cell is as far from its centre
-    return Contours(points, distance + sheet.cell / np.sqrt(2), np.tile(sheet.frame[2], (len(number), 1)))
+    return Contours(points, distance + sheet.cell / np.sqrt(2))

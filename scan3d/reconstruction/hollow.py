@@ -12,14 +12,13 @@ the sensor or the poses are not as stated; then much of what one sweep touches a
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array, Index, Mask
-from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
+from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -155,26 +154,23 @@ class _Rows:
         place = np.stack([tips.point[rows, 0] - self.columns[0][rows], tips.point[rows, 1]], axis=1)
         normal = np.stack([np.sin(tips.slope[rows]), -np.cos(tips.slope[rows])], axis=1)
         in_world = np.einsum("kni,nij->knj", np.stack([recording.rod.length_m * place, normal]), self.axes[rows, :2])
-        # as many contacts, to be changed to those
-        added = single.select(np.zeros(len(rows), dtype=np.intp))
-        added = replace(
-            added,
-            points=(recording.position_m[rows] + in_world[0]) / UNITS_M[recording.unit],
-            in_plane_normals=in_world[1],
-            phase=np.full_like(added.phase, planar.Phase.TIP),
-            slice=slice_of[rows],
-            sweep=recording.sweep[rows].astype(np.int32),
-            row=rows.astype(np.int32),
-            force_N=tips.force[rows] * recording.rod.force_unit_N,
-            friction=np.full(len(rows), np.nan),
-        )
-        order = np.argsort(np.concatenate([single.row, added.row]), kind="stable")
-        joined: dict[str, Any] = {
-            column: np.concatenate([getattr(single, column), getattr(added, column)])[order]
-            for column in PER_CONTACT
-            if getattr(single, column) is not None
+        order = np.argsort(np.concatenate([single.row, rows]), kind="stable")
+        second = order >= len(single)
+        # as many contacts more, to be changed to those
+        joined = single.select(np.where(second, 0, order))
+        changed = {
+            "points": (recording.position_m[rows] + in_world[0]) / UNITS_M[recording.unit],
+            "in_plane_normals": in_world[1],
+            "phase": planar.Phase.TIP,
+            "slice": slice_of[rows],
+            "sweep": recording.sweep[rows],
+            "row": rows,
+            "force_N": tips.force[rows] * recording.rod.force_unit_N,
+            "friction": np.nan,
         }
-        return replace(single, **joined, recovered=order >= len(single))
+        for name, values in changed.items():
+            getattr(joined, name)[second] = values  # arrays of its own
+        return replace(joined, recovered=second)
 
     def _of_sweep(self, points: Array, sweep: Index, plane: Array) -> Array:
         """Points in the axes (2, 3) of a slice's plane, in the frame of one of its sweeps."""

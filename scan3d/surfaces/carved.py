@@ -61,12 +61,6 @@ class Carved:
     coverage: dict[str, Any]
     """``known``, ``estimated``: shares of the area; ``unknown``: patches ``{center, area, extent}``, largest first."""
 
-    @property
-    def unknown(self) -> list[dict[str, Any]]:
-        """The patches of the surface that no rod has reached."""
-        patches: list[dict[str, Any]] = self.coverage["unknown"]
-        return patches
-
 
 def carved(recording: Recording, cloud: Cloud) -> Carved:
     """The surface of a body of any shape from the contacts of a recording in its slices and from where its rods have been.
