@@ -1,4 +1,4 @@
-"""What several tests share: the option --no-skip, the marks of the tests, and a reader of PLY files.
+"""What several tests share: the option --no-skip, the marks of the tests, a scan, and a call of the command.
 
 A test marked `rendering`, `browser` or `open3d` needs an off-screen renderer, Chromium or open3d; where that is missing the
 test is skipped, with the command that installs it.  Tests marked `slow` are left out of the fast lane (``make fast``),
@@ -14,7 +14,6 @@ import sys
 import tempfile
 
 import hypothesis
-import numpy as np
 import pytest
 
 # Tests must not fail because the machine is busy, nor depend on random draws.
@@ -92,9 +91,6 @@ def pytest_terminal_summary(terminalreporter, config):
             terminalreporter.write_line(f"--no-skip: {report.nodeid} was skipped: {report.longrepr[2]}", red=True)
 
 
-_PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "char": "i1", "uchar": "u1"}
-
-
 @pytest.fixture(scope="session")
 def browser_path():
     """The path of a Chromium."""
@@ -117,30 +113,6 @@ def few_samples():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "SOME", 1000)
         yield
-
-
-@pytest.fixture
-def read_ply():
-    """A reader of binary PLY of the tests' own: (vertices as a structured array, faces (m, 3) or None, comments)."""
-
-    def read(path):
-        head, _, body = path.read_bytes().partition(b"end_header\n")
-        lines = [line.split() for line in head.decode("ascii").splitlines()]
-        assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
-        counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
-        properties = [line for line in lines if line[0] == "property"]
-        row = np.dtype([(name, _PLY_TYPES[kind]) for _, kind, name in (p for p in properties if p[1] != "list")])
-        vertices = np.frombuffer(body, row, counts["vertex"])
-        rest, faces = body[vertices.nbytes :], None
-        if "face" in counts:
-            assert properties[-1] == ["property", "list", "uchar", "int", "vertex_indices"]
-            rows = np.frombuffer(rest, [("count", "u1"), ("corners", "<i4", 3)], counts["face"])
-            assert (rows["count"] == 3).all()
-            faces, rest = rows["corners"], rest[rows.nbytes :]
-        assert rest == b""
-        return vertices, faces, [" ".join(line[1:]) for line in lines if line[0] == "comment"]
-
-    return read
 
 
 @pytest.fixture

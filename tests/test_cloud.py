@@ -9,7 +9,7 @@ import trimesh
 
 import planar
 import scan3d
-from scan3d.files.shapes import cloud_table, ply
+from scan3d.files.shapes import cloud_table, ply, read_ply
 from scan3d.reconstruction.contacts import contacts
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
@@ -60,7 +60,7 @@ def test_noise_beyond_the_signal_raises_nothing(noise):
     assert np.isfinite(contacts(recording).points).all()
 
 
-def test_the_file_of_the_cloud_has_the_rows(recording, cloud, tmp_path, read_ply):
+def test_the_file_of_the_cloud_has_the_rows(recording, cloud, tmp_path):
     path = tmp_path / "cloud.ply"
     path.write_bytes(ply(cloud_table(cloud)))
     vertices, _, _ = read_ply(path)
@@ -68,7 +68,7 @@ def test_the_file_of_the_cloud_has_the_rows(recording, cloud, tmp_path, read_ply
     np.testing.assert_allclose(np.hypot(*recording.force_N[vertices["row"]].T), vertices["force"], rtol=1e-12)
 
 
-def test_the_file_of_a_noisy_cloud_has_the_uncertainty_of_each_contact(read_ply, tmp_path):
+def test_the_file_of_a_noisy_cloud_has_the_uncertainty_of_each_contact(tmp_path):
     plan = scan3d.Plan(slices=4, samples=16, sweeps=4)
     mesh = trimesh.creation.box((20, 30, 40))
     exact, noisy = (contacts(scan3d.simulate(mesh, dataclasses.replace(plan, noise=noise))) for noise in (0.0, 1e-4))

@@ -16,6 +16,28 @@ ROWS = np.dtype(
 )
 
 
+_PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "char": "i1", "uchar": "u1"}
+
+
+def read_ply(path):
+    """A reader of binary PLY of the tests' own: (vertices as a structured array, faces (m, 3) or None, comments)."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = [line.split() for line in head.decode("ascii").splitlines()]
+    assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
+    counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
+    properties = [line for line in lines if line[0] == "property"]
+    row = np.dtype([(name, _PLY_TYPES[kind]) for _, kind, name in (p for p in properties if p[1] != "list")])
+    vertices = np.frombuffer(body, row, counts["vertex"])
+    rest, faces = body[vertices.nbytes :], None
+    if "face" in counts:
+        assert properties[-1] == ["property", "list", "uchar", "int", "vertex_indices"]
+        rows = np.frombuffer(rest, [("count", "u1"), ("corners", "<i4", 3)], counts["face"])
+        assert (rows["count"] == 3).all()
+        faces, rest = rows["corners"], rest[rows.nbytes :]
+    assert rest == b""
+    return vertices, faces, [" ".join(line[1:]) for line in lines if line[0] == "comment"]
+
+
 def rows(n=7):
     table = np.zeros(n, ROWS)
     rng = np.random.default_rng(1)
@@ -31,7 +53,7 @@ def rows(n=7):
 FACES = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]])
 
 
-def test_ply_is_read_back_bit_for_bit(tmp_path, read_ply):
+def test_ply_is_read_back_bit_for_bit(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply(rows(), FACES, comments=("unit mm", "two")))
     vertices, faces, comments = read_ply(tmp_path / "a.ply")
     assert vertices.tobytes() == rows().tobytes()

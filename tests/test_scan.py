@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d.files.meshes import read_mesh
+from scan3d.files.shapes import read_ply
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
@@ -240,7 +241,7 @@ def scan(folder, *arguments):
 
 
 @pytest.mark.slow
-def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
+def test_step_2_needs_the_recording_only(tmp_path, no_pictures):
     from scan3d.cli import main
 
     scanned_folder = scan(tmp_path / "scanned_folder", "--friction", "0.0:0.4")
@@ -289,20 +290,6 @@ def test_friction_and_noise_each_follow_the_seed(random):
     first, second, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.force_N, second.force_N)
     assert not np.allclose(first.force_N, third.force_N)
-
-
-@pytest.mark.slow
-def test_cloud_ply_holds_the_cloud(scanned, read_ply):
-    cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
-    vertices, faces, comments = read_ply(scanned / "cloud.ply")
-    assert faces is None
-    assert comments == ["unit mm"]
-    assert vertices.dtype.names[:7] == ("x", "y", "z", "nx", "ny", "nz", "quality")
-    assert np.array_equal(np.stack([vertices[name] for name in "xyz"], axis=1), cloud.points)
-    normals = np.stack([vertices[name] for name in ("nx", "ny", "nz")], axis=1)
-    assert np.array_equal(normals, cloud.normals.astype(np.float32), equal_nan=True)
-    assert np.array_equal(vertices["phase"], cloud.phase)
-    assert np.array_equal(vertices["slice"], cloud.slice)
 
 
 # --- invariances ---
