@@ -15,6 +15,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
 from scan3d.pipeline import analyse
+from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import enclosure
 
@@ -140,3 +141,20 @@ def test_the_bound_is_at_most_five_times_the_least_one_that_holds(name, noise):
     assert bounds.bound <= 5 * nearest(np.asarray(mesh.vertices), bounds.inner)[0].max()
     # five times the truth itself would be less than the least bound
     assert least > 5 * truth
+
+
+def test_a_slice_with_a_force_but_no_contact_is_not_empty():
+    """It would bound the body's height."""
+    mesh = scan3d.load_mesh(MESHES / "egg.stl")
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, friction=0.3, samples=40))
+    (stack,) = stacks(contacts(recording))
+    assert np.isfinite(stack.ceiling)
+    heights = recording.position_m[:, 2] * 1e3
+    above = heights > stack.heights[-1] + 1e-6
+    assert above.any()
+    # a force along the rod alone, which no bent rod has
+    pushed = dataclasses.replace(
+        recording, force_N=recording.force_N + np.where(above, 1e-3, 0.0)[:, None] * [0.0, 1.0]
+    )
+    (stack,) = stacks(contacts(pushed))
+    assert np.isinf(stack.ceiling)

@@ -88,11 +88,3 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     assert f"open3d             doesn't work ({found})" in stdout
     assert "pictures           don't work (nothing can render off screen)" in stdout
     assert ("apt-get" in stdout) == known
-
-
-def test_the_error_of_a_child_process():
-    assert doctor._error_of("") is None
-    assert doctor._error_of("raise OSError('no luck')") == "OSError: no luck"
-    assert doctor._error_of("import sys; sys.exit(3)") == "exit code 3"
-    if sys.platform != "win32":
-        assert doctor._error_of("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"

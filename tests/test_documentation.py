@@ -11,7 +11,6 @@ from pathlib import Path
 
 import matplotlib
 import pytest
-import yaml
 
 import planar
 import scan3d
@@ -181,23 +180,6 @@ def test_the_glossary_knows_the_words_that_a_report_prints() -> None:
     }
     assert {"friction", "surface", "volume", "certified", "assumed", "scanned"} <= labels
     assert sorted({*labels, *METHODS} - known) == []
-
-
-def test_the_recipe_asks_for_what_the_package_asks_for() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    recipe = yaml.safe_load((ROOT / "docs" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
-    assert recipe["context"]["version"] == project["version"]
-    assert recipe["about"]["summary"] == project["description"]
-    # names of other packages are the same, but for matplotlib, which without a toolkit for windows is matplotlib-base
-    asked = {line.replace("matplotlib-base", "matplotlib").replace(" ", "") for line in recipe["requirements"]["run"]}
-    assert asked == {*project["dependencies"], "python>=${{python_min}}"}
-    extras = [project["optional-dependencies"][name] for name in ("open3d", "cluster", "movies", "parquet", "ros")]
-    optional = {line.partition(";")[0].replace("-cpu", "") for extra in extras for line in extra}
-    assert {line.replace(" ", "") for line in recipe["requirements"]["run_constraints"]} <= optional | {"open3d>=0.19"}
-    least = (ROOT / "docs" / "conda" / "variants.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(least)["python_min"] == [project["requires-python"].removeprefix(">=")]
-    (command,) = recipe["build"]["python"]["entry_points"]
-    assert command == "scan3d = " + project["scripts"]["scan3d"]
 
 
 def test_every_extra_is_described() -> None:

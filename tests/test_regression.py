@@ -155,3 +155,15 @@ def test_contacts_in_space_are_fitted_as_well():
     error = scan3d.compare(found, mesh).hausdorff
     assert error < 0.2 * scan3d.compare(surface(cloud, "hull"), mesh).hausdorff
     assert error < 0.01 * np.linalg.norm(mesh.extents)
+
+
+@pytest.mark.slow
+def test_where_few_contacts_show_a_plane_the_polytope_goes_half_way_to_its_vertices():
+    mesh = trimesh.creation.cone(20.0, 40.0, sections=6)
+    mesh.apply_translation([0, 0, -10])
+    cloud = scan(mesh, 0.002, 12)
+    low, high = surface(cloud, "regression").bounds
+    # no farther than half way from the last slice to the empty slice beyond it
+    heights = np.unique(cloud.slice_height)
+    assert low[2] >= heights[0]
+    assert high[2] <= heights[-1]

@@ -364,15 +364,6 @@ def test_every_sweep_draws_different_friction(watched_sweeps):
     assert len(np.unique(drawn)) == drawn.size
 
 
-def test_a_fixed_number_of_sweeps_is_evenly_spaced():
-    recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
-    # three slices, and an empty one beyond either end
-    assert np.array_equal(recording.sweep, np.repeat(np.arange(20), 10))
-    rods = recording.axes()[::10, 1].reshape(5, 4, 3)
-    assert rods == pytest.approx(np.broadcast_to([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], (5, 4, 3)), abs=1e-12)
-    assert recording.axes()[:, 2] == pytest.approx(np.broadcast_to([0.0, 0, 1], (200, 3)), abs=1e-15)
-
-
 @pytest.mark.parametrize("rod", ["steel:0.06x10", "steel:0.003x0.5", "steel:6x1000"])
 @pytest.mark.parametrize("path", [EGG, CUBE], ids=lambda path: path.stem)
 def test_contacts_of_a_rod_far_too_short_or_long_lie_on_the_body(rod, path):

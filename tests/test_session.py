@@ -94,8 +94,6 @@ def test_what_a_session_refuses(egg):
     session = Session("cylinder:60x60", slices=3, samples=20)
     with pytest.raises(InputError, match="there is no recording yet"):
         session.surface  # noqa: B018
-    with pytest.raises(InputError, match=r"tell a scan3d\.Recording, got str"):
-        session.tell("log.csv")
     recording = recorded(egg, session.ask())
     with pytest.raises(InputError, match="the session is in mm, and the recording in m"):
         session.tell(replace(recording, unit="m"))
@@ -104,10 +102,6 @@ def test_what_a_session_refuses(egg):
         session.tell(replace(recording, rod=Rod(0.06, 1e-4)))
     with pytest.raises(InputError, match="the spatial model needs six-axis data"):
         Session("cylinder:60x60", model="spatial").tell(recording)
-    with pytest.raises(InputError, match="tolerance must be a number >= 0"):
-        Session("cylinder:60x60", tolerance=-1.0)
-    with pytest.raises(InputError, match="a bounding body is"):
-        Session("egg")
     low = Session("cylinder:60x60")
     low.tell(replace(recording, position_m=recording.position_m - [0, 0, 0.01]))
     with pytest.raises(InputError, match="where the table is at 0 mm; move the frame"):

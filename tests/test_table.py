@@ -71,6 +71,15 @@ def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     assert enclosure(dataclasses.replace(open_below, fattened=with_empty)).bound == bounds.bound
 
 
+def test_the_table_below_slices_whose_normals_point_down():
+    mesh = body(1)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=8, samples=20, axis=(0.0, 0.0, -1.0)))
+    filled = dataclasses.replace(recording, table_m=-0.001)
+    bounds = enclosure(scan3d.reconstruct(filled))
+    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
+    assert bounds.corners[:, 2].min() > -1 - 1e-9
+
+
 @pytest.mark.parametrize("axis", ["x", (1.0, 0.0, 1.0)])
 def test_the_table_cuts_slices_along_other_axes(axis):
     mesh = body(2)
