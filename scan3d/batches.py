@@ -31,8 +31,6 @@ from scan3d.files.reading import read_section
 from scan3d.files.whole import BATCH, REPORT, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.numbers import length, share
 from scan3d.processes import undone_if_ended
-from scan3d.results import Result
-from scan3d.results import open as open_scan
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
 from scan3d.workers import Workers
 
@@ -81,13 +79,6 @@ class Batch:
     def failures(self) -> list[Row]:
         """The rows of the runs that have failed."""
         return [row for row in self.rows if row["status"] == FAILED]
-
-    def open(self, run: str) -> Result:
-        """The results of a run, by its name.  Raises InputError as `scan3d.open`, and for a run that has failed."""
-        for row in self.failures:
-            if row["run"] == run:
-                raise InputError(f"the run {run} has failed: {row['error']}")
-        return open_scan(self.folder / run)
 
     def __repr__(self) -> str:
         return f"Batch of {len(self.rows)} runs, {len(self.failures)} failed, in {self.folder}"
@@ -452,7 +443,7 @@ def _allowed(text: str) -> str:
 
 def _distinct(names: Sequence[str]) -> list[str]:
     """The names, with a number behind those that others have too; file systems may not distinguish capitals."""
-    taken = {name.casefold() for name in BATCH.results}
+    taken = {name.casefold() for name in BATCH}
     chosen = []
     for name in names:
         numbered = (f"{name}-{number}" for number in itertools.count(2))

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -412,17 +412,8 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
 # --- in words ---
 
 
-class Summary(NamedTuple):
-    """A table of a few rows for the terminal."""
-
-    heading: str
-    """A line above the table, or an empty string."""
-    rows: Rows
-    """Name and value of each quantity."""
-
-
-def summary(data: Mapping[str, Any]) -> Summary:
-    """The most important numbers of a report."""
+def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
+    """The most important numbers of a report: a heading, and the name and value of each quantity."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
     where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
     heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
@@ -500,7 +491,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
         rows.append(("certified", nothing + (unproven if count else "") + hint))
     if certified.get("grown"):
         rows.append(("measured", certified["grown"]))
-    return Summary(heading, rows)
+    return heading, rows
 
 
 def _known_rows(data: Mapping[str, Any]) -> Rows:

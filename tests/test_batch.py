@@ -225,15 +225,6 @@ def test_the_summary_has_a_row_for_each_run(serial):
     assert repr(done) == f"Batch of 4 runs, 1 failed, in {out}"
 
 
-def test_the_results_of_a_run_are_opened_by_its_name(serial):
-    _, done = serial
-    assert done.open("egg").report["mesh"]["file"] == "egg.stl"
-    with pytest.raises(scan3d.InputError, match=r"the run bad has failed: bad\.stl has no triangles"):
-        done.open("bad")
-    with pytest.raises(scan3d.InputError, match=r"there is no folder"):
-        done.open("eggs")
-
-
 def test_the_page_has_a_card_for_each_run(serial, tmp_path):
     out, done = serial
     page = (out / "index.html").read_text(encoding="utf-8")

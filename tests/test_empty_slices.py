@@ -44,7 +44,7 @@ def test_slices_out_of_reach_end_no_body(scanned):
     analysis = analyse(out_of_reach(scanned, upper, 1.2))
     data = report(analysis, settings={})
     assert data["counts"]["unproven_slices"] == found.unresolved.sum() == 5
-    (certified,) = [text for name, text in summary(data).rows if name == "certified"]
+    (certified,) = [text for name, text in summary(data)[1] if name == "certified"]
     assert "5 slices without contact prove no end" in certified
     # the same slices within reach prove that nothing is there
     assert enclosure(contacts(scanned)).bound < 0.3

@@ -114,7 +114,7 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     assert false_statements(analysis) == []
     assert analysis.recording.rig is None  # it is no part of the files
     data = report(analysis, settings={})
-    rows = dict(summary(data).rows)
+    rows = dict(summary(data)[1])
     assert "of the wrench: bounds allow for that, and no more" in rows["tested"]
     named = analysis.diagnosis
     assert named is None or "the bounds hold if no more of the wrench is wrong" in named.message

@@ -76,13 +76,13 @@ def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     for quantity in measured(analysis).values():
         assert quantity["coverage_probability"] == 0.0
         assert quantity["interval"][1] == np.inf
-    assert "volume" not in dict(summary(report(analysis, settings={})).rows)
+    assert "volume" not in dict(summary(report(analysis, settings={}))[1])
 
 
 @pytest.mark.slow
 def test_the_summary_states_the_volume_with_its_interval(exact):
     data = report(analyse(exact), settings={})
-    row = dict(summary(data).rows)["volume"]
+    row = dict(summary(data)[1])["volume"]
     low, high = data["measurands"][3]["interval"]
     middle, off = (float(part) for part in row.removesuffix(" mm³, certified").replace(",", "").split(" ± "))
     assert middle - off <= low < high <= middle + off

@@ -165,7 +165,7 @@ def test_an_unknown_diameter_is_asked_for():
     rows = {}
     for name, log in (("simulated", simulated), ("measured", measured), ("stated", replace(measured, rod=WIRE))):
         data = report(analyse(log), settings={})
-        rows[name] = dict(summary(data).rows)
+        rows[name] = dict(summary(data)[1])
         assert bool(data["certificate"]["grown"]) == (name == "measured")
     assert "state diameter_m" in rows["measured"]["measured"]
     assert "measured" not in rows["stated"]
@@ -183,4 +183,4 @@ def test_a_tapered_rod_moves_contacts_by_its_radius_there_and_certifies_nothing(
     assert moved[thick.cloud.phase == planar.Phase.TIP] == pytest.approx(0.05, abs=1e-6)
     data = report(thick, settings={})
     assert thick.certificate.bound == np.inf
-    assert "the rod's radius changes along it" in dict(summary(data).rows)["certified"]
+    assert "the rod's radius changes along it" in dict(summary(data)[1])["certified"]

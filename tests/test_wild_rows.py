@@ -145,7 +145,7 @@ def test_rows_keep_their_numbers_and_the_report_counts_those_that_are_left_out()
     assert left["rows"] == data["counts"]["left_out"] == len(cloud.left_out.rows)
     assert left["share"] < left["largest_share"]
     assert "but for single wild rows" in data["certificate"]["premise"]
-    assert dict(summary(data).rows)["left out"].startswith(f"{left['rows']} rows that contradict their neighbours")
+    assert dict(summary(data)[1])["left out"].startswith(f"{left['rows']} rows that contradict their neighbours")
 
 
 def test_rows_that_a_thick_rod_contradicts_itself_in_are_left_out():
@@ -161,7 +161,7 @@ def test_more_wild_rows_than_are_allowed_take_the_certificate_away(undiagnosed):
     analysis = analyse(disturbed(exact("box"), 1e-3, "30 % at 100"), None, "hull")
     assert "wild-rows" in [warning.code for warning in analysis.warnings]
     assert analysis.certificate.bound == np.inf
-    assert "left out" not in dict(summary(report(analysis, settings={})).rows)
+    assert "left out" not in dict(summary(report(analysis, settings={}))[1])
 
 
 @pytest.mark.parametrize("noise", [1e-4, pytest.param(1e-3, marks=pytest.mark.trust)])

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from scan3d.errors import InputError
 from scan3d.files.reading import read_small
@@ -36,15 +36,10 @@ RESULTS = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "su
 """The files of a result; not every one has pictures."""
 
 
-class Kind(NamedTuple):
-    """A kind of result: a folder's report, which names the other files with their SHA-256."""
-
-    report: str
-    results: tuple[str, ...]
-
-
-SCAN = Kind(REPORT, RESULTS)
-BATCH = Kind("batch.json", ("summary.csv", "index.html", "batch.json"))
+Kind = tuple[str, ...]
+"""The files of a kind of result, the last of them its report, which names the others with their SHA-256."""
+SCAN: Kind = RESULTS
+BATCH: Kind = ("summary.csv", "index.html", "batch.json")
 Inputs = Mapping[str, str | os.PathLike[str] | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
 
@@ -83,10 +78,10 @@ class Replacement:
         Files of the result before that this one does not have are removed, if they are as the program wrote them.
         """
         kept = [name for name in earlier_files(self.folder, self.kind) if self._is_kept(name)]
-        names = [*kept, *self._sha256, self.kind.report]
+        names = [*kept, *self._sha256, self.kind[-1]]
         read = {name: sha256(self.folder / name) for name in RECORDING} if self.reads_recording else {}
         data = {**report, "files": names, "sha256": {**read, **self._sha256}}
-        self.put(self.kind.report, to_json(data))
+        self.put(self.kind[-1], to_json(data))
         with in_a_sentence(self.folder, self.option):
             _replace(self._work, self.folder)
         return data
@@ -127,7 +122,7 @@ def replacing(
     with folder(path, option) as place, _working(place) as work:
         result = Replacement(place, inputs or {}, option, kind, work)
         ours, stated = unchanged(place, kind), earlier_files(place, kind)
-        for name in kind.results:
+        for name in kind:
             if name in RECORDING and result.reads_recording:
                 continue
             check_path(place / name, inputs or {}, option)
@@ -289,10 +284,10 @@ def _move(place: Path) -> None:
         names = os.listdir(complete)
     except FileNotFoundError:
         return
-    last = [name for name in names if name in (SCAN.report, BATCH.report)]
+    last = [name for name in names if name in (SCAN[-1], BATCH[-1])]
     for name in [*(name for name in names if name not in last), *last]:
         if name in last:
-            _remove_obsolete(place, SCAN if name == SCAN.report else BATCH)
+            _remove_obsolete(place, SCAN if name == SCAN[-1] else BATCH)
         with suppress(FileNotFoundError):  # another process has moved it
             os.replace(complete / name, place / name)
     _flush(place)
@@ -302,8 +297,8 @@ def _move(place: Path) -> None:
 
 def _remove_obsolete(place: Path, kind: Kind) -> None:
     """Remove unchanged files of the earlier result that the new one, whose report is still to be moved, does not name."""
-    new = _named_files(place / _COMPLETE / kind.report, kind).keys()
-    for name, stated in _named_files(place / kind.report, kind).items():
+    new = _named_files(place / _COMPLETE / kind[-1], kind).keys()
+    for name, stated in _named_files(place / kind[-1], kind).items():
         if name not in new and _has_sha256(place / name, stated):
             (place / name).unlink(missing_ok=True)
 
@@ -355,7 +350,7 @@ def earlier_files(place: Path, kind: Kind = SCAN) -> dict[str, str | None]:
 
     Empty if the folder has no report, or one of another program.
     """
-    return _named_files(locate(place / kind.report), kind)
+    return _named_files(locate(place / kind[-1]), kind)
 
 
 def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
@@ -363,10 +358,10 @@ def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
         if not report.is_file():  # a pipe could be read without end
             return {}
         data: Any = json.loads(report.read_text(encoding="utf-8"))
-        if kind.report not in data["files"] or "scan3d" not in data["versions"]:
+        if kind[-1] not in data["files"] or "scan3d" not in data["versions"]:
             return {}
         stated = data.get("sha256") or {}
-        return {name: stated.get(name) for name in data["files"] if name in kind.results}
+        return {name: stated.get(name) for name in data["files"] if name in kind}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
 
