@@ -24,7 +24,7 @@ from scan3d.comparison import Comparison
 from scan3d.errors import InputError
 from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.files.recordings import read_recording
-from scan3d.files.whole import RECORDING, REPORT, check_belongs, locate
+from scan3d.files.whole import RECORDING, REPORT, RESULTS, check_belongs, locate, replacing
 from scan3d.pictures import notebook
 from scan3d.pictures.scene import Scene, columns
 from scan3d.pictures.sheet import sheet
@@ -138,14 +138,26 @@ class Result(Shown):
         return Comparison(**values)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write what was computed into a folder, as ``scan3d scan`` does; those of a folder are copied as a folder.
+        """Write the results into a folder, as ``scan3d scan`` does, or copy those of a folder, byte for byte.
 
-        Files of others are replaced only with `overwrite`.  Raises InputError for the results of a folder, and if the folder
-        can't be written into.
+        Files of others are replaced only with `overwrite`.  Raises InputError if the folder can't be written into, and if a
+        file that is to be copied is missing or was changed.
         """
-        if self.analysis is None:
-            raise InputError(f"the results are those in {self.folder}: copy that folder")
-        pipeline.write(self.analysis, Path(folder), settings=self.report["settings"], overwrite=overwrite)
+        if self.analysis is not None:
+            settings = self.report["settings"]
+            pipeline.write(self.analysis, Path(folder), settings=settings, overwrite=overwrite)
+            return
+        stated = dict.fromkeys([*self.report.get("files", ()), *(self.report.get("sha256") or ())])  # also what it read
+        names = [name for name in stated if name in RESULTS and name != REPORT]
+        check_belongs(self._place, self.report, names)
+        missing = [name for name in names if not locate(self._place / name).is_file()]
+        if missing:
+            raise InputError(f"{self.folder} lacks {', '.join(missing)}, which its {REPORT} names; run the scan again")
+        files = {name: locate(self._place / name).read_bytes() for name in names}
+        with replacing(Path(folder), overwrite=overwrite) as result:
+            for name, data in files.items():
+                result.put(name, data)
+            result.commit(self.report)
 
     def plot(  # type: ignore[override]
         self,
