@@ -392,7 +392,12 @@ def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
         twice = sorted(common.keys() & table.keys())
         if twice:
             raise InputError(f"{source}: {twice[0]} stands in [{name}] and outside; leave one of them out")
-        values = {key: _values(source, key, value) for key, value in {**common, **table}.items()}
+        values = {
+            key: list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+            for key, value in {**common, **table}.items()
+        }
+        if empty := next((key for key, value in values.items() if not value), ""):
+            raise InputError(f"{source}: the list of values for {empty} is empty; leave {empty} out, or give a value")
         if not values:
             raise InputError(f"{source} has no settings; expected lists of values, such as friction = [0.0, 0.3]")
         number = len(found) + math.prod(map(len, values.values()))
@@ -402,13 +407,6 @@ def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
             )
         found += [dict(zip(values, choice, strict=True)) for choice in itertools.product(*values.values())]
     return found
-
-
-def _values(source: str, name: str, value: Any) -> list[Any]:
-    values = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
-    if not values:
-        raise InputError(f"{source}: the list of values for {name} is empty; leave {name} out, or give a value")
-    return values
 
 
 def body_names(paths: Sequence[Path]) -> list[str]:

@@ -106,7 +106,7 @@ def compare_with_points(surface: trimesh.Trimesh, points: Array, mesh: trimesh.T
 
 def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: float) -> Comparison:
     """`compare` of two bodies at the size of their common bounding box; arguments as returned by `_prepared`."""
-    pairs, exact = (bodies, bodies[::-1]), _are_convex(bodies)
+    pairs, exact = (bodies, bodies[::-1]), max(body.slack for body in bodies) <= CONVEX_DEPTH
     sides = one_sided_distances(pairs, exact)
     worst = max(sides, key=lambda side: side.lower)
 
@@ -153,10 +153,6 @@ def _prepared(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[tuple[Bo
     centre, scale = (low + high) / 2, float(np.linalg.norm(high - low))
     diagonal = float(np.linalg.norm(boxes[1, 1] - boxes[1, 0]))
     return (prepare(surface, centre, scale), prepare(mesh, centre, scale)), centre, scale, diagonal
-
-
-def _are_convex(bodies: tuple[Body, Body]) -> bool:
-    return max(body.slack for body in bodies) <= CONVEX_DEPTH
 
 
 class _Samples(NamedTuple):

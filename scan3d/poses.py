@@ -79,10 +79,7 @@ class PoseList:
         check_orientations("poses", self.quaternion)
         if not self.speed_m_s > 0:
             raise InputError(f"poses: the speed must be above 0 m/s, got {self.speed_m_s}")
-        self._check_sweeps()
-
-    def _check_sweeps(self) -> None:
-        """Raise InputError unless the rows of each sweep stand together: approach, sweep and retract in this order."""
+        # the rows of each sweep stand together: approach, sweep and retract in this order
         first = np.flatnonzero(np.diff(self.sweep, prepend=self.sweep[0] - 1))
         numbers, count = np.unique(self.sweep[first], return_counts=True)
         if (count > 1).any():

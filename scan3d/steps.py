@@ -174,32 +174,17 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
     if ending[1:] not in FORMATS:
         known = (".csv", PARQUET, *(f".{name}" for name in FORMATS))
         raise InputError(f"can't load {path.name}: expected a file ending in {one_of(known)}")
-    if ending != ".ply" or not _is_scan3d_ply(path):
-        return _mesh(path, unit)
-    shape = read_shape(path)
-    if unit not in (None, shape.unit):
-        raise InputError(f"{path.name} is in {shape.unit}, as it states itself, and not in {unit}; leave the unit out")
-    return shape if shape.faces is None else _surface(shape)
-
-
-def _is_scan3d_ply(path: Path) -> bool:
-    """Whether a PLY states its unit in a comment, as scan3d writes it."""
-    with open(path, "rb") as file:
-        head = file.read(1 << 12).partition(b"end_header")[0]
-    return any(f"comment unit {unit}\n".encode() in head for unit in UNITS_M)
-
-
-def _mesh(path: Path, unit: str | None) -> trimesh.Trimesh:
     stated = stated_unit(path)
-    mesh = read_mesh(path, stated)
     if unit is not None and stated not in (None, unit):
         raise InputError(f"{path.name} is in {stated}, as it states itself, and not in {unit}; leave the unit out")
-    if stated or unit:
-        mesh.units = stated or unit
-    return mesh
-
-
-def _surface(shape: Shape) -> trimesh.Trimesh:
+    if ending != ".ply" or stated is None:
+        mesh = read_mesh(path, stated)
+        if known := stated or unit:
+            mesh.units = known
+        return mesh
+    shape = read_shape(path)
+    if shape.faces is None:
+        return shape
     mesh = trimesh.Trimesh(shape.points, shape.faces, vertex_normals=shape.normals, process=False)
     mesh.units = shape.unit
     mesh.vertex_attributes.update(shape.columns)

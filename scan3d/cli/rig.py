@@ -18,7 +18,6 @@ from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit, unit_question
 
 if TYPE_CHECKING:
-    from scan3d.files.text_tables import Table
     from scan3d.laboratory.importing import Imported
     from scan3d.simulation.rig import RawLog
 
@@ -475,7 +474,7 @@ def import_(
     guess
         write a first map by the names of the columns, to --map or beside RAW, and stop
     dry_run
-        print what becomes of the first rows, and write a picture of the curves only
+        print the first rows of the recording, and write a picture of the curves only
     picture
         raw and converted curves, a .png, .pdf or .svg (default with --dry-run: RAW with the ending .png)
     """
@@ -485,7 +484,7 @@ def import_(
         raise UsageError("--map says what the columns mean; --guess writes a first one")
     if not (out or dry_run):
         raise UsageError("--out names the recording; --dry-run only shows what would become of the table")
-    from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
+    from scan3d.files.recordings import check_path, read_recording, recording_files, sidecar, write_recording
     from scan3d.files.whole import atomic, check_file, check_pair, folder
     from scan3d.laboratory.importing import KIND, convert, load, with_rig
     from scan3d.laboratory.maps import read_map
@@ -506,13 +505,12 @@ def import_(
     chosen = read_map(map)
     if rig:
         chosen = with_rig(chosen, str(rig))
-    source = load(raw, chosen)
-    imported = convert(source, chosen)
+    imported = convert(load(raw, chosen), chosen)
     if written:
         with folder(written.parent):
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
-    rows, facts = _first_rows(source, imported), _facts(imported)
+    facts = _facts(imported)
     if drawn:
         with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
             charts.import_picture(imported, file)
@@ -520,7 +518,8 @@ def import_(
     places = [("written to", path) for path in paths.values() if path]
     text = table(f"{imported.summary.table}, imported", [*facts, *places])
     if dry_run:
-        text += "\n\n" + _aligned(rows)
+        first = recording_files(imported.recording, "first.csv")["first.csv"].decode().splitlines()[:7]
+        text += "\n\n" + "\n".join(map(printable, first))
     print_result(output, dataclasses.asdict(imported.summary) | paths, text)
     for note in imported.summary.notes:
         say(f"note: {note}")
@@ -539,38 +538,6 @@ def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) ->
         write_atomic(path, guess.text.encode(), "--map")
     text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(guess.open)}")
     return print_result(output, {"map": str(path), "open": list(guess.open)}, text)
-
-
-def _aligned(rows: list[list[str]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))) for row in rows
-    )
-
-
-def _first_rows(raw: Table, imported: Imported) -> list[list[str]]:
-    """The first rows of the recording, with the rows of the table that they come from, below the names of the columns."""
-    recording, log = imported.recording, imported.log
-    names = "row fx fy fz mx my mz  sweep x_m y_m z_m qw qx qy qz fx_N fy_N mz_Nm"
-    rows = [names.split(" ")]
-    for k in range(min(6, len(recording))):
-        source = int(imported.kept[k])
-        row = int(log.row[source])
-        pose, made = (
-            [*recording.position_m[k], *recording.quaternion[k]],
-            [*recording.force_N[k], recording.moment_Nm[k]],
-        )
-        rows.append(
-            [
-                str(row + 1 if raw.lines is None else raw.lines[row]),
-                *(f"{value:.4g}" for value in log.wrench[source]),
-                "→",
-                str(recording.sweep[k]),
-                *(f"{value:.4f}" for value in pose),
-                *(f"{value:.4g}" for value in made),
-            ]
-        )
-    return rows
 
 
 def _facts(imported: Imported) -> list[tuple[str, str]]:

@@ -14,7 +14,6 @@ from scan3d.numbers import number, share
 from scan3d.pictures import figures, parts
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.sheet import FONT, Sheet
-from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol
 
 if TYPE_CHECKING:
@@ -26,16 +25,19 @@ if TYPE_CHECKING:
 _HISTOGRAM_HEIGHT = 0.6
 
 
-def reactions(recording: Recording, sheet: Sheet | None = None) -> Any:
+def reactions(scene: Scene, sheet: Sheet) -> Any:
     """A figure of the support reactions over the clamp travel, with a curve for every sweep: three panels, or six.
 
-    Of more than 60 sweeps, which merge into a grey area, as many are drawn.
+    Of more than 60 sweeps, which merge into a grey area, as many are drawn.  Raises InputError without a recording.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
-    sheet = sheet or Sheet()
+    if (recording := scene.recording) is None:
+        raise InputError(
+            f"{scene.name} has no recording, whose reactions the view forces shows: show a scan's folder, or a recording"
+        )
     numbers = np.unique(recording.sweep)
     colors = ScalarMappable(Normalize(float(numbers[0]), float(max(numbers[-1], numbers[0] + 1))), "viridis")
     force, moment = recording.wrench() if recording.six_axis else (recording.force_N, recording.moment_Nm)

@@ -54,22 +54,12 @@ def figure(scene: Scene, view: str = "cloud", color: str = "force", sheet: Sheet
     if view not in VIEWS:
         raise InputError(f"view must be one of {', '.join(VIEWS)}, got {view!r}")
     if view in CHARTS:
-        return _chart(scene, view, sheet)
+        if sheet.camera is not None:
+            raise InputError(f"the view {view} shows no body, so that it has no camera: leave the camera out")
+        return histograms(scene, sheet) if view == "histogram" else reactions(scene, sheet)
     need_renderer()
     draw = {"cloud": _cloud, "compare": _compare, "explain": _explain}.get(view, _surface)
     return draw(scene, view, color, sheet)
-
-
-def _chart(scene: Scene, view: str, sheet: Sheet) -> Any:
-    if sheet.camera is not None:
-        raise InputError(f"the view {view} shows no body, so that it has no camera: leave the camera out")
-    if view == "histogram":
-        return histograms(scene, sheet)
-    if scene.recording is None:
-        raise InputError(
-            f"{scene.name} has no recording, whose reactions the view forces shows: show a scan's folder, or a recording"
-        )
-    return reactions(scene.recording, sheet)
 
 
 def _canvas(corners: Array, sheet: Sheet, direction: Any = DIRECTION, up: Any = (0.0, 0.0, 1.0)) -> Canvas:
