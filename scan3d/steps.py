@@ -179,8 +179,8 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
         raise InputError(f"{path.name} is in {stated}, as it states itself, and not in {unit}; leave the unit out")
     if ending != ".ply" or stated is None:
         mesh = read_mesh(path, stated)
-        if known := stated or unit:
-            mesh.units = known
+        if stated or unit:
+            mesh.units = stated or unit
         return mesh
     shape = read_shape(path)
     if shape.faces is None:

@@ -519,7 +519,7 @@ def import_(
     text = table(f"{imported.summary.table}, imported", [*facts, *places])
     if dry_run:
         first = recording_files(imported.recording, "first.csv")["first.csv"].decode().splitlines()[:7]
-        text += "\n\n" + "\n".join(map(printable, first))
+        text += "\n\n" + "\n".join(printable(line) for line in first)
     print_result(output, dataclasses.asdict(imported.summary) | paths, text)
     for note in imported.summary.notes:
         say(f"note: {note}")
