@@ -14,7 +14,7 @@ from scan3d.laboratory.air import tare
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.diagnosis import Diagnosis
-from scan3d.reconstruction.wild import noise_in_air
+from scan3d.reconstruction.errors import noise_in_air
 from scan3d.report import report, summary
 from tests.robustness import bounds
 

@@ -12,7 +12,7 @@ from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.bounds.constraints import allowed
 from scan3d.cloud import Cloud
 from scan3d.numbers import angle, length, number, share
-from scan3d.reconstruction.wild import noise_in_air
+from scan3d.reconstruction.errors import noise_in_air
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 

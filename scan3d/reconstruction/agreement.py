@@ -22,7 +22,7 @@ from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import readings, renumbered, rest, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
-from scan3d.reconstruction.errors import NoContactError, felt, torsion_sd, with_rig_errors
+from scan3d.reconstruction.errors import NoContactError, felt, noise_in_air, torsion_sd, with_rig_errors
 from scan3d.reconstruction.misfits import (
     ROUNDING,
     Errors,
@@ -277,6 +277,13 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
         )
         found.append(Contradiction("moment-about-rod", text, largest))
     assert cloud.tangents is not None
+    air = noise_in_air(recording)
+    if recording.noise.independent and air.chance < FALSE_ALARM:
+        text = (
+            "values of rows in the air are larger than the stated noise explains, and contacts in space do not show which of "
+            "theirs are: state the noise that the sensor has, or leave wild rows out"
+        )
+        found.append(Contradiction("wild-rows", text, air.chance))
     place, turn = np.zeros(len(cloud)), np.zeros(len(cloud))
     if known.error is not None and cloud.place_sd is not None:
         place, turn = sigmas * cloud.place_sd, sigmas * known.error.tangent[rows]

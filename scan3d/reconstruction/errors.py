@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 import planar
 from scan3d.arrays import AT_ONCE, Array, Index, Mask
@@ -36,6 +37,11 @@ _LIGHT, _TOLERABLE = 4.0, 1e-3
 _STEP = 1e-2
 # Which reactions each model reads, of the six.
 _REACTIONS = {"planar": (0, 1, 5), "spatial": tuple(range(6))}
+RIGHT_ROWS = 0.05
+"""Right rows that are left out in a recording, in the mean, if each is judged once: fewer, and wild rows are not seen that make
+bounds false; more, and all bounds are widened for nothing."""
+# Median of the sizes of normal numbers.
+_MEDIAN_OF_NORMAL = float(ndtri(0.75))
 # By how much the body may be wider than its contacts.
 _WIDENED = 1.1
 
@@ -66,6 +72,34 @@ def too_light(largest: Array, touching: Mask) -> Mask:
 def felt(force: Array, noise: tuple[float, float]) -> Mask:
     """(n,) whether dimensionless forces (n, 2 or 3) stand out from the noise of force and moment."""
     return np.asarray(np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise))
+
+
+class Air(NamedTuple):
+    """What rows without a felt force say of the noise."""
+
+    rows: int
+    """Number of those whose neighbours have none either."""
+    size: float | None
+    """Standard deviations for each that counts, 1 at least; None if no value is larger than expected."""
+    chance: float
+    """Probability, at most, with which a right recording has a value as large as its largest."""
+
+
+def noise_in_air(recording: Recording) -> Air:
+    """The noise by second differences of successive rows in the air, in which touches that begin or end do not show."""
+    noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
+    force, moment = (part[order] for part in recording.reactions(recording.six_axis))
+    air, sweep = ~felt(force, noise), recording.sweep[order]
+    sd, channels = np.repeat(noise, 3), np.array(_REACTIONS["spatial" if recording.six_axis else "planar"])
+    channels = channels[sd[channels] > 0]
+    before, own, after = (np.hstack([force, moment])[k : len(order) - 4 + k, channels] for k in (1, 2, 3))
+    known = np.all([air[k : len(air) - 4 + k] for k in range(5)] + [sweep[4:] == sweep[:-4]], axis=0)
+    found = np.abs(before - 2 * own + after)[known] / (np.sqrt(6) * sd[channels])
+    if not found.size:
+        return Air(0, None, 1.0)
+    chance = float(2 * found.size * ndtr(-found.max()))
+    size = None if chance >= RIGHT_ROWS else max(1.0, float(np.median(found)) / _MEDIAN_OF_NORMAL)
+    return Air(len(found), size, chance)
 
 
 class Effects(NamedTuple):

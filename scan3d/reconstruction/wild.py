@@ -11,7 +11,6 @@ A rod that touches lightly, or not at all, shows a wild row as a touch of one or
 
 from __future__ import annotations
 
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -19,21 +18,16 @@ from scipy.special import ndtri
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud, LeftOut
 from scan3d.reconstruction.agreement import FALSE_ALARM, LARGEST_SHARE, Compared, compared_in_slices
-from scan3d.reconstruction.errors import felt
+from scan3d.reconstruction.errors import RIGHT_ROWS, felt, noise_in_air
 from scan3d.recording import Recording
 
 # Contacts of a group: the median follows none of the wild ones among them while these are fewer than half.
 _GROUP = 8
-# Right rows that are left out in a recording, in the mean, if each is judged once: fewer, and wild rows are not seen that make
-# bounds false; more, and all bounds are widened for nothing.
-_RIGHT_ROWS = 0.05
 # Standard deviations of the remaining rows for each that is stated: what is not seen of a wild row stays within κ of these.
 _FACTOR = 1.5
 # Standard deviations from which on a row is off, where the rows are judged that follow each other: 1 % of the right ones are.
 # Small errors of gains, rods and clamps leave such beside half of the wild rows or more, independent errors beside 12 %.
 _BESIDE = 3.0
-# Median of the sizes of normal numbers.
-_MEDIAN_OF_NORMAL = float(ndtri(0.75))
 # Rows of a touch at least.
 _TOUCH = 3
 # Passes, each without the rows that the ones before it have left out.
@@ -51,7 +45,7 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
     noise = recording.noise.of_reactions(recording.rod)
     pressed = felt(recording.force_N / recording.rod.force_unit_N, noise)
     size = noise_in_air(recording).size
-    limit, strict = (-(size or 1.0) * ndtri(chance / (2 * max(len(cloud), 1))) for chance in (_RIGHT_ROWS, FALSE_ALARM))
+    limit, strict = (-(size or 1.0) * ndtri(chance / (2 * max(len(cloud), 1))) for chance in (RIGHT_ROWS, FALSE_ALARM))
     value, short = _numbered(recording), _short(recording.sweep, pressed)
     beyond = np.full(len(recording), -np.inf)
     for compared in compared_in_slices(cloud):
@@ -66,30 +60,6 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
         return LeftOut(left, share, _FACTOR * (size or 1.0))
     # what no right recording has must be explained, or nothing is certified
     return LeftOut(np.empty(0, dtype=np.intp), share, 1.0) if (beyond > strict).any() else None
-
-
-class Air(NamedTuple):
-    """What rows without a felt force say of the noise."""
-
-    rows: int
-    """Number of those whose neighbours have none either."""
-    size: float | None
-    """Standard deviations for each that counts, 1 at least; None if no value is larger than expected."""
-
-
-def noise_in_air(recording: Recording) -> Air:
-    """The noise by second differences of successive rows in the air, in which touches that begin or end do not show."""
-    rod, noise = recording.rod, recording.noise.of_reactions(recording.rod)
-    order = np.argsort(recording.sweep, kind="stable")
-    force, moment = recording.force_N[order] / rod.force_unit_N, recording.moment_Nm[order] / rod.moment_unit_Nm
-    air, sweep, sd = ~felt(force, noise), recording.sweep[order], np.array([noise[0], noise[0], noise[1]])
-    before, own, after = (np.column_stack([force, moment])[k : len(order) - 4 + k] for k in (1, 2, 3))
-    known = np.all([air[k : len(air) - 4 + k] for k in range(5)] + [sweep[4:] == sweep[:-4]], axis=0)
-    found = np.abs(before - 2 * own + after)[known][:, sd > 0] / (np.sqrt(6) * sd[sd > 0])
-    if not found.size:
-        return Air(0, None)
-    expected = (found <= -ndtri(_RIGHT_ROWS / (2 * found.size))).all()
-    return Air(len(found), None if expected else max(1.0, float(np.median(found)) / _MEDIAN_OF_NORMAL))
 
 
 def _numbered(recording: Recording) -> Index:
