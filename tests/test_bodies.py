@@ -363,6 +363,13 @@ def test_files_that_are_not_meshes_are_refused(tmp_path, name):
     assert why in error(tmp_path / name)
 
 
+def test_vertices_of_two_coordinates_are_refused(tmp_path):
+    text = trimesh.exchange.export.export_mesh(box(), None, "obj")
+    path = tmp_path / "flat.obj"
+    path.write_text("\n".join(line.rsplit(" ", 1)[0] if line.startswith("v ") else line for line in text.splitlines()))
+    assert "three coordinates" in error(path)
+
+
 @pytest.mark.parametrize(("kind", "value"), list(zip(KINDS, itertools.cycle([np.nan, np.inf]), strict=False)))
 def test_vertices_that_are_not_finite_are_refused(tmp_path, kind, value):
     # trimesh.load drops such vertices, and with them a corner of the body

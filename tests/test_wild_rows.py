@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
+from spatial_scans import recorded
 
 import scan3d
 from scan3d.bounds import enclosure, premises
@@ -124,6 +125,19 @@ def test_noise_that_is_larger_than_stated_shows_in_the_air():
     analysis = analyse(third, BODIES["box"], "hull")
     assert analysis.warnings or analysis.cloud.left_out.factor > 4
     assert analysis.warnings or false_statements("box", analysis) == []
+
+
+def test_in_space_values_in_the_air_that_no_noise_explains_take_the_certificate_away(undiagnosed):
+    right, _, _ = recorded(0.3, directions=8, heights=8, samples=48, substeps=2, noise=(2e-4, 2e-4))
+    in_air = np.flatnonzero(
+        np.isin(right.sweep, right.sweep[:48]) & (np.hypot(*right.force_N.T) < 1e-3 * right.rod.force_unit_N)
+    )
+    moment = right.moment_x_Nm.copy()
+    moment[in_air[2]] += 20 * right.noise_moment_Nm
+    assert not analyse(right, None, "hull").warnings
+    wild = analyse(replace(right, moment_x_Nm=moment), None, "hull")
+    assert [warning.code for warning in wild.warnings] == ["wild-rows"]
+    assert wild.certificate.bound == np.inf
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])

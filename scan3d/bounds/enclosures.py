@@ -47,7 +47,7 @@ from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
-from scan3d.bounds.wedges import outer_body, proven_body
+from scan3d.bounds.wedges import outer_body, proven_body, unexplained
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
@@ -537,9 +537,12 @@ def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
 
 def _by_wedges(cloud: Cloud, places: Places, turns: Array, kappa: float, confidence: float) -> Enclosure:
     """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
+    off = unexplained(cloud, places, kappa)
+    places, turns = places._replace(errors=places.errors + off), turns + off / cloud.rod_length
     proven = proven_body(cloud, places, kappa)
-    margin = 0.0 if proven is not None else float(places.largest().max())
-    bodies = ((hull(places.points) if proven is None else proven, cloud.rod_radius + margin),)
+    excess = 0.0 if proven is not None else float(places.largest().max())
+    bodies = ((hull(places.points) if proven is None else proven, cloud.rod_radius + excess),)
+    margin = max(off, excess)
     inner = _inner_body(cloud, bodies[0][0])
     if proven is None:
         corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly, unit
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly, highest, unit
 from scan3d.bounds.constraints import frame_of, tangential
 from scan3d.bounds.noise import averages_of, second_order
 from scan3d.cloud import Cloud
@@ -28,6 +28,7 @@ from scan3d.geometry.arcs import Places, arcs_at
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import half_space_intersection
+from scan3d.geometry.triangles import dot
 
 # Wedges that are used at most: of more contacts neighbours say nearly the same.
 _MOST = 4000
@@ -35,6 +36,10 @@ _MOST = 4000
 _BEGIN, _ROUNDS = 3, 6
 # Subdivisions of the icosahedron in whose directions the points of the proven body are chosen, and the body bounded.
 _PROVEN = 3, 5
+# Part of the errors of a contact, and of what others prove, that count where both are compared, since both are seldom so large.
+_LIKELY = 0.5
+# Contacts that are compared at most, and angles of the normal about the rod at which they are.
+_TESTED, _TURNED, _ANGLES = 400, 1.2, 49
 # Part by which the bound may exceed what the wedges leave at the triangles' corners.
 _CLOSE = 0.03
 
@@ -76,6 +81,30 @@ def proven_body(cloud: Cloud, places: Places, kappa: float) -> Any:
     if value.min() <= 0:
         return None
     return hull(centre + half_space_intersection(np.column_stack([fine, -value]), np.zeros(3)).intersections)
+
+
+def unexplained(cloud: Cloud, places: Places, kappa: float) -> float:
+    """How much farther contacts may be from their places than noise explains, because rods pass through what others prove.
+
+    Errors that noise does not explain, of the rod, the clamp or the sensor, show where they differ from sweep to sweep.  What
+    all sweeps have in common shows nowhere, and twice of what shows is allowed for.
+    """
+    if places.spread is None or not kappa:
+        return 0.0
+    likely = places._replace(spread=_LIKELY**2 * places.spread)
+    proven, rows = proven_body(cloud, likely, _LIKELY * kappa), evenly(tangential(cloud), _TESTED)
+    if proven is None or not len(rows):
+        return 0.0
+    assert cloud.tangents is not None
+    tangents, points = cloud.tangents[rows], places.points[rows]
+    outward = points - places.points.mean(axis=0)
+    outward = unit(outward - dot(outward, tangents)[:, None] * tangents)
+    angles = np.linspace(-_TURNED, _TURNED, _ANGLES)[:, None]
+    normals = np.cos(angles) * outward[:, None] + np.sin(angles) * np.cross(tangents, outward)[:, None]
+    reach = highest(proven.vertices.view(np.ndarray), normals.reshape(-1, 3)).reshape(normals.shape[:2])
+    depth = reach - (normals * points[:, None]).sum(axis=2)
+    shown = bool(((depth - likely.select(rows).along(normals)).min(axis=1) > 0).any())
+    return 2 * float(depth.min(axis=1).max()) if shown else 0.0
 
 
 def _with_means(cloud: Cloud, points: Places, kappa: float) -> Places:

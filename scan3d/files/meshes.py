@@ -300,6 +300,8 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
             f"{path.name} can't be read as {kind.upper()}: it is cut off, damaged or another kind of file; export or download "
             "it again"
         ) from error
+    if any(len(vertices) and vertices.shape[1] != 3 for vertices, _ in meshes):
+        raise InputError(f"{path.name} has vertices without three coordinates; export the mesh again")
     if not all(np.isfinite(vertices).all() for vertices, _ in meshes):
         raise InputError(f"{path.name} has vertices that are NaN or infinite; repair or export it again")
     held, declared = sum(len(faces) for _, faces in meshes), _declared_faces(kind, data)

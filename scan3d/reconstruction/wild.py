@@ -11,7 +11,6 @@ A rod that touches lightly, or not at all, shows a wild row as a touch of one or
 
 from __future__ import annotations
 
-
 import numpy as np
 from scipy.special import ndtri
 
