@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ import planar
 from scan3d.errors import InputError
 from scan3d.files import whole
 from scan3d.files.meshes import FORMATS, read_mesh
+from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
 from scan3d.files.shapes import read_ply
 from scan3d.files.whole import REPORT, check_belongs, locate, sha256
@@ -109,14 +111,14 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
 
 
 def read_ply_scene(path: Path, unit: str) -> Scene | None:
-    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for PLYs of other programs.
+    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for other PLYs with faces.
 
-    Raises InputError for points that are missing or not finite.
+    Raises InputError for files that can't be read, and for points that are missing or not finite.
     """
     try:
         rows, faces, comments = read_ply(path)
     except InputError:
-        return None
+        return _read_foreign(path, unit)
     _check(path, rows)
     unit = unit_of(comments, unit)
     if faces is None:
@@ -129,6 +131,29 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     if "known" in (rows.dtype.names or ()):
         mesh.vertex_attributes["known"] = rows["known"]
     return Scene(path.stem, unit, surface=mesh, bound=bound if is_known else None)
+
+
+def _read_foreign(path: Path, unit: str) -> Scene | None:
+    """The points of another program's PLY; None if it has faces."""
+    try:
+        check_file(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of points that are not finite, judged below
+            shape = trimesh.load(path)
+    except InputError:
+        raise
+    # trimesh's parser raises various errors for foreign bytes
+    except Exception as error:
+        raise InputError(
+            f"can't read {path}: {type(error).__name__}, {error}; expected a PLY of points or triangles"
+        ) from None
+    if not isinstance(shape, trimesh.PointCloud):
+        return None
+    rows = np.empty(len(shape.vertices), dtype=[(name, "f8") for name in "xyz"])
+    for name, values in zip("xyz", np.asarray(shape.vertices).T, strict=True):
+        rows[name] = values
+    _check(path, rows)
+    return Scene(path.stem, unit, contacts=rows)
 
 
 def _check(path: Path, rows: NDArray[Any]) -> None:

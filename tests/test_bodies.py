@@ -154,6 +154,11 @@ def quantized(tree):
     tree["nodes"][0]["scale"] = [0.015] * 3
 
 
+def sparse(tree):
+    at = {"bufferView": 2, "componentType": 5125}
+    tree["accessors"][0]["sparse"] = {"count": 1, "indices": at, "values": {"bufferView": 2, "byteOffset": 4}}
+
+
 def embedded(tree):
     faces = box().faces.astype("<u2").tobytes()
     tree["buffers"].append({"byteLength": 72, "uri": f"data:;base64,{base64.b64encode(faces).decode()}"})
@@ -161,6 +166,11 @@ def embedded(tree):
 
 
 GLB = {
+    "a first point that a sparse accessor corrects": (
+        CORNERS * (np.arange(8) > 0)[:, None].astype("<f4"),
+        sparse,
+        bytes(4) + CORNERS[0].tobytes(),
+    ),
     "quantized": (np.hstack([np.round(CORNERS / 0.015 * 32767), np.zeros((8, 1))]).astype("<i2"), quantized, b""),
     "interleaved": (
         np.hstack([CORNERS, CORNERS[:, :1]]),

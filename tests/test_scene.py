@@ -17,7 +17,7 @@ from scan3d import scenes
 from scan3d.cli import main, show
 from scan3d.pictures import parts
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
-from scan3d.pictures.scene import of_cloud, out_of_plane_deg
+from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg
 from scan3d.report import key_figures
 
 
@@ -105,6 +105,11 @@ def test_plys_and_meshes(folder, tmp_path):
     assert cloud.surface is None
     assert surface.contacts is None
     assert len(surface.bound) == len(surface.surface.vertices)
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    trimesh.PointCloud(points).export(tmp_path / "foreign.ply")
+    foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "in")
+    assert foreign.unit == "in"
+    assert foreign.points == pytest.approx(points, rel=1e-6)
     scan3d.load_mesh(CUBE).export(tmp_path / "mesh.ply", encoding="ascii")
     for path in (CUBE, tmp_path / "mesh.ply"):
         mesh = show.read_scene(path, str(EGG), False, "mm")
@@ -294,3 +299,18 @@ def test_key_figures_are_those_of_the_report(folder):
     assert shown["size"] == "42.31 × 42.31 × 56 mm"
     # without the truth
     assert "Hausdorff distance" not in dict(key_figures({**report, "hausdorff": None}))
+
+
+def test_the_sentence_of_a_contact(egg, ellipsoid):
+    contact = int(np.flatnonzero(egg.column("phase") == planar.Phase.TANGENTIAL)[0])
+    sentence = contact_sentence(egg, contact)
+    assert sentence.startswith(f"contact {contact}: ({egg.points[contact][0]:.4f}, ")
+    for part in ("mm, sweep 0, slice 0, tangential contact, force ", " mN, friction 0.", "normal ("):
+        assert part in sentence
+    points_only = replace(egg, contacts=egg.contacts[["x", "y", "z"]])
+    assert contact_sentence(points_only, 0) == "contact 0: ({:.4f}, {:.4f}, {:.3f}) mm".format(*egg.points[0])
+    angle = scan3d.reconstruct(ellipsoid.recording).bending_angle
+    contact = int(np.argmax(np.abs(np.sin(angle))))
+    sentence = contact_sentence(ellipsoid, contact)
+    assert f", bending {np.rad2deg(np.arcsin(np.sin(angle[contact]))):.1f}° out of the sweep's plane" in sentence
+    assert "slice" not in sentence

@@ -1,4 +1,4 @@
-"""The command `show`: what it writes, what it refuses, and without a renderer everything else."""
+"""The command `show` and the window: what it writes, what it refuses, and without a renderer everything else."""
 
 import json
 import re
@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from image_checks import pixels
-from small_scans import CUBE, EGG, FEW, scanned
+from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
 from without_renderer import MISSING, hidden_renderer
 
 import scan3d
-from scan3d.pictures import page, rendering
+from scan3d.pictures import canvas, parts, rendering
+from scan3d.pictures.scene import contact_sentence
 
 COMMAND = Path(sys.executable).with_name("scan3d")
 # The notebook is tried without a display, the command without libraries; `make trust` runs the rest.
@@ -47,7 +48,7 @@ def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown
         ("--view bound --html x.html", "--view says what a picture shows: give --screenshot FILE as well"),
         ("--color phase --view bound --screenshot x.png", "--color is that of the contacts in the view cloud: leave"),
         ("--camera -60,95 --screenshot x.png", "a camera is front, back, .* got '-60,95'"),
-        ("--against b --movie x.gif", "--against is for a picture or a page: leave out --movie"),
+        ("--against b --movie x.gif", "--against is for a picture, a page or the window: leave out --movie"),
     ],
 )
 def test_wrong_options_are_one_sentence(tmp_path, monkeypatch, shown, options, sentence):
@@ -101,26 +102,46 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
 
 
-# --- the browser ---
+# --- the window ---
 
 
-def test_without_a_file_the_page_is_opened_in_the_browser(folder, shown, monkeypatch):
-    opened = []
-    monkeypatch.setattr(page, "can_open", lambda: True)
-    monkeypatch.setattr(page.webbrowser, "open", opened.append)
-    code, out, _ = shown()
-    file = Path(out.removesuffix(", in the browser\n"))
-    assert (code, opened) == (0, [file.as_uri()])
-    assert file.read_bytes() == (folder / "view.html").read_bytes()
+@pytest.mark.rendering
+@pytest.mark.parametrize("spatial", [False, True])
+def test_the_window(spatial):
+    scene, sentences = scanned_in_space() if spatial else scanned(EGG), []
+    built = canvas.Window(scene, sentences.append, "bending" if spatial else "phase", off_screen=True)
+    try:
+        lines = ["contact paths"] if spatial else ["slices"]
+        truth = [] if spatial else ["truth"]
+        assert list(built.layers) == ["surface", *truth, "contacts", "normals", *lines, "rods"]
+        visible = {name: all(actor.GetVisibility() for actor in actors) for name, actors in built.layers.items()}
+        assert visible == {name: name in ("surface", "contacts") for name in built.layers}
+        assert all(built.layers.values())
+        built.switch("rods", True)
+        assert built.layers["rods"][0].GetVisibility()
+        for color in ("bending" if spatial else "phase", "force"):
+            assert np.array_equal(built.contacts["rgb"], parts.shade_contacts(scene, color).rgb)
+            built.paint("force")
+        built.pick(scene.points[17])
+        built.pick(scene.points[17] + 100.0)
+        assert sentences == [contact_sentence(scene, 17)]
+    finally:
+        built.plotter.close()
 
 
 @pytest.mark.parametrize("display", [None, ":98765"])
-def test_without_a_display_nothing_is_opened(shown, monkeypatch, display):
+def test_without_a_display_there_is_no_window(shown, monkeypatch, display):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     if display:
         monkeypatch.setenv("DISPLAY", display)
-    monkeypatch.setattr(page.sys, "platform", "linux")
-    assert shown() == (1, "", f"scan3d: {page.NO_DISPLAY}\n")
-    with pytest.raises(scan3d.InputError, match=r"there is no display .*; write a picture with --scr"):
-        page.open_page(scanned(EGG))
+    monkeypatch.setattr(canvas.sys, "platform", "linux")
+    canvas.can_open.cache_clear()
+    try:
+        assert shown() == (1, "", f"scan3d: {canvas.NO_DISPLAY}\n")
+        with pytest.raises(
+            scan3d.InputError, match="there is no display to open a window on; write a picture with --scr"
+        ):
+            canvas.open_window(scanned(EGG), print)
+    finally:
+        canvas.can_open.cache_clear()

@@ -1,4 +1,4 @@
-"""The command show: a scan in a browser, a picture, a page or a movie."""
+"""The command show: a scan in a window, a picture, a page or a movie."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def show(
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
-    """Show a scan in the browser, a picture, a page or a movie.
+    """Show a scan in a window, a picture, a page or a movie.
 
     For example:
       scan3d show out
@@ -53,15 +53,15 @@ def show(
     path
         a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh
     screenshot
-        a picture, .png, .pdf or .svg
+        a picture, .png, .pdf or .svg, instead of a window
     html
-        an interactive page for any browser; it does not need the network (default: in a temporary file, which is opened)
+        an interactive page for any browser; it does not need the network
     movie
         the body as it grows: a .gif, or an .mp4 (needs imageio-ffmpeg)
     view
         what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png
     color
-        colour of the contacts in a picture (default: force)
+        colour of the contacts in a picture or the window (default: force)
     size
         size of the picture: WIDTH or WIDTHxHEIGHT in mm, cm, in, pt or px, such as 85mm or 85x60mm (default: 7in)
     dpi
@@ -80,7 +80,7 @@ def show(
     """
     if view and not (screenshot or html or movie):
         screenshot = Path(f"{path.resolve().stem}-{view}.png")
-    _check_picture(screenshot, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
+    _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
     if against:
         _check_against(truth or hull, movie, color, view)
     try:
@@ -88,11 +88,11 @@ def show(
     except InputError as error:
         raise UsageError(str(error)) from None
     from scan3d.files.whole import check_file, write_atomic
-    from scan3d.pictures import drawing, page, views
+    from scan3d.pictures import canvas, drawing, page, views
     from scan3d.pictures import movie as movies
 
-    if not (screenshot or html or movie) and not page.can_open():
-        raise InputError(page.NO_DISPLAY)
+    if not (screenshot or html or movie) and not canvas.can_open():
+        raise InputError(canvas.NO_DISPLAY)
     # file names are checked before the work
     if screenshot:
         views.check_path(screenshot)
@@ -110,8 +110,9 @@ def show(
         scene = scene.against(other_surface(against, scene.unit, unit))
     output.progress.tell("drawing")
     if not (screenshot or html or movie):
-        opened = str(page.open_page(scene))
-        return print_result(output, {"shown": scene.name, "files": [opened]}, printable(f"{opened}, in the browser"))
+        output.progress.end()
+        canvas.open_window(scene, print, color or "force")
+        return 0
     if html:
         write_atomic(html, page.page(scene), "--html")
     if movie:
@@ -124,13 +125,15 @@ def show(
     return print_result(output, {"shown": scene.name, "files": files}, text)
 
 
-def _check_picture(screenshot: Path | None, given: dict[str, str | None], color: Color | None) -> None:
+def _check_picture(
+    screenshot: Path | None, other: Path | None, given: dict[str, str | None], color: Color | None
+) -> None:
     for name, value in given.items():
         if value is not None and not screenshot:
             what = "says what a picture shows" if name == "view" else "is that of a picture"
             raise UsageError(f"--{name} {what}: give --screenshot FILE as well")
-    if color and not screenshot:
-        raise UsageError("--color is for a picture: give --screenshot FILE as well")
+    if color and not screenshot and other:
+        raise UsageError("--color is for a picture or the window: give --screenshot FILE as well")
     if color and given["view"] not in (None, "cloud"):
         raise UsageError(f"--color is that of the contacts in the view cloud: leave it out with --view {given['view']}")
 
@@ -139,7 +142,7 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
     if truth:
         raise UsageError("--against takes another surface in the place of the true body: leave out --truth and --hull")
     if movie:
-        raise UsageError("--against is for a picture or a page: leave out --movie")
+        raise UsageError("--against is for a picture, a page or the window: leave out --movie")
     if color or view not in (None, *WITH_OTHER):
         raise UsageError(f"--against compares surfaces: give the view {one_of(WITH_OTHER)}, and no --color")
 

@@ -73,10 +73,10 @@ def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, out
     if not (output.json or output.quiet):
         page, place = printable(str(out / "view.html")), printable(str(out))
         drawn = {
-            f"scan3d show {place}": "the scan in the browser",
+            f"scan3d show {place}": "the scan in a window",
             f"scan3d show {place} --view compare": "a picture beside the true body",
         }
-        further = drawn if (out / "surface.png").exists() else {"scan3d doctor": "what pictures need here"}
+        further = drawn if (out / "surface.png").exists() else {"scan3d doctor": "what windows and pictures need here"}
         further |= {"scan3d scan part.stl --out out": "a scan of your own mesh"}
         print(f"\nOpen {page} in a browser. To go on with:")
         width = max(map(len, further))

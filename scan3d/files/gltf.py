@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.shapes import FRAME, LENGTHS, Shape
+from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
 # The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.
@@ -222,11 +223,19 @@ class _Content:
     def _values(self, accessor: Mapping[str, Any]) -> NDArray[Any]:
         """The values (n, k) of an accessor, as they are stored."""
         kind, width, count = _TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]], accessor["count"]
-        if "sparse" in accessor:
-            raise InputError("a part of its numbers is stored sparsely; export the body as a plain mesh")
-        if "bufferView" not in accessor:
+        sparse = accessor.get("sparse")
+        if "bufferView" in accessor:
+            values = self._rows(accessor, kind, width, count)
+        elif sparse:
+            check_memory(count * width * kind.itemsize, "a sparse mesh", "take a coarser one")
+            values = np.zeros((count, width), kind)
+        else:
             raise ValueError("an accessor without data")
-        return self._rows(accessor, kind, width, count)
+        if sparse:
+            at = self._rows(sparse["indices"], _TYPES[sparse["indices"]["componentType"]], 1, sparse["count"])
+            values = values.copy()
+            values[at.ravel()] = self._rows(sparse["values"], kind, width, sparse["count"])
+        return values
 
     def _rows(self, at: Mapping[str, Any], kind: np.dtype[Any], width: int, count: int) -> NDArray[Any]:
         """Rows (n, k) that lie in a view of a buffer.  Raises InputError if they overlap, and ValueError if they leave it."""

@@ -10,13 +10,8 @@ import base64
 import hashlib
 import html
 import json
-import os
 import re
-import sys
-import tempfile
-import webbrowser
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,32 +33,6 @@ _SCRIPTS = ("view", "layers", "player", "tools", "main")
 
 # Key figures that are sentences, and are shown when they are asked for.
 PREMISES = ("assumed", "tested")
-NO_DISPLAY = (
-    "there is no display with a browser to show the page in; write a picture with --screenshot FILE, or a page with "
-    "--html FILE"
-)
-
-
-def can_open() -> bool:
-    """Whether a browser can be opened here: on Linux a display must answer."""
-    local = os.environ.get("DISPLAY", "").partition(".")[0]
-    if sys.platform == "linux" and not os.environ.get("WAYLAND_DISPLAY"):
-        if not local or (local.startswith(":") and not Path(f"/tmp/.X11-unix/X{local[1:]}").exists()):
-            return False
-    try:
-        return bool(webbrowser.get())
-    except webbrowser.Error:
-        return False
-
-
-def open_page(scene: Scene) -> Path:
-    """Open the page of a scene, a temporary file, in the browser.  Raises InputError where there is no display or browser."""
-    if not can_open():
-        raise InputError(NO_DISPLAY)
-    file = Path(tempfile.mkdtemp(prefix="scan3d-")) / "view.html"
-    file.write_bytes(page(scene))
-    webbrowser.open(file.as_uri())
-    return file
 
 
 def page(scene: Scene) -> bytes:

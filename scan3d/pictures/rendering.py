@@ -1,4 +1,4 @@
-"""Whether this machine can render off screen."""
+"""Whether this machine can render, off screen or in a window."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scan3d.errors import InputError
 from scan3d.processes import python
 
 # Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
+# Where a display does not answer, VTK falls back to a window that is never shown.
 _PROBE = """
 import sys
 from vtkmodules.vtkFiltersSources import vtkSphereSource
@@ -20,7 +21,9 @@ sphere, mapper, actor, renderer, window = vtkSphereSource(), vtkPolyDataMapper()
 mapper.SetInputConnection(sphere.GetOutputPort())
 actor.SetMapper(mapper)
 renderer.AddActor(actor)
-window.SetOffScreenRendering(True)
+window.SetOffScreenRendering(sys.argv[1] == "off screen")
+if sys.argv[1] == "on screen" and not window.GetShowWindow():
+    sys.exit(3)
 window.SetSize(32, 32)
 window.AddRenderer(renderer)
 window.Render()
@@ -56,14 +59,16 @@ def can_render() -> bool:
     return renders()
 
 
-def renders() -> bool:
-    """Whether a child process can render."""
+def renders(*, on_screen: bool = False) -> bool:
+    """Whether a child process can render, on screen or off."""
+    target = "on screen" if on_screen else "off screen"
     try:
         # in a separate session: Ctrl-C in the terminal would end the child, which would look like a failure to render
         done = subprocess.run(
-            python(_PROBE),
+            python(_PROBE, target),
             capture_output=True,
-            timeout=120,  # a busy machine may take as long to import VTK
+            # a busy machine may take as long to import VTK; a display that accepts the connection may never answer
+            timeout=20 if on_screen else 120,
             check=False,
             start_new_session=True,
         )

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.files.shapes import LENGTHS, POINT, cloud_table
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.numbers import unit_for
+from scan3d.numbers import angle, force, lengths, number, unit_for
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -144,3 +145,27 @@ def out_of_plane_deg(bending_angle: Array) -> Array:
     In contrast to the angle of the bending plane, from -180° to 180°, it does not jump, and is 0 for rods that bend backward.
     """
     return np.rad2deg(np.arcsin(np.sin(bending_angle)))
+
+
+def contact_sentence(scene: Scene, contact: int) -> str:
+    """What was measured at a contact, given by its row in the scene's contacts."""
+    place, unit = lengths(scene.points[contact], scene.unit, digits=6)
+    parts = [f"contact {contact}: ({', '.join(place)}) {unit}"]
+    for name in ("sweep", "slice"):
+        values = scene.column(name)
+        if values is not None:
+            parts.append(f"{name} {values[contact]:.0f}")
+    phase, pushed, friction = (scene.column(name) for name in ("phase", "force", "friction"))
+    if phase is not None:
+        parts.append(f"{planar.Phase(int(phase[contact])).name.lower()} contact")
+    if pushed is not None:
+        parts.append(f"force {force(pushed[contact], digits=4)}")
+    if friction is not None and np.isfinite(friction[contact]):
+        parts.append(f"friction {number(friction[contact])}")
+    bending = scene.column("bending")
+    if bending is not None:
+        parts.append(f"bending {angle(out_of_plane_deg(bending)[contact])} out of the sweep's plane")
+    normal = scene.normals[contact]
+    if np.isfinite(normal).all():
+        parts.append("normal ({})".format(", ".join(f"{x:.4f}" for x in normal)))
+    return ", ".join(parts)
