@@ -12,6 +12,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.planning.plan import (
     AIMED_SLOPE,
     OPEN_FRACTION,
+    base_fractions,
     base_line,
     clamp_axes,
     further_directions,
@@ -19,6 +20,14 @@ from scan3d.planning.plan import (
 )
 
 directions = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 64])
+def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
+    shares = base_fractions(samples)
+    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
+    assert np.all(np.diff(shares) > 0)
+    assert np.all(np.diff(shares, 2) > 0)
 
 
 @given(directions)
