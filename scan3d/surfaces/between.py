@@ -52,9 +52,9 @@ from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.facets import completed, facets
 from scan3d.reconstruction.slices import SliceStack, stacks
 
-FRACTIONS = (0.0, 0.25, 0.5, 1.0)
-"""Fractions of the way from the hull of the contacts to the corners of the outer body that are tried; 0 is the hull alone, an
-evenly bent body passes at 0.25, and a polyhedron at 1."""
+FRACTIONS = (0.25, 0.0, 0.5, 1.0)
+"""Fractions of the way from the hull of the contacts to the corners of the outer body that are tried, first that at which an
+evenly bent body passes; 0 is the hull alone, and a polyhedron passes at 1."""
 UNKNOWN = 0.5
 """The fraction where nothing tells how far the body reaches: the error is at most half the gap."""
 
