@@ -118,3 +118,14 @@ def test_one_slice_spans_no_body():
     recording = recording_of(cassini, [0.0])
     with pytest.raises(InputError, match="in a plane"):
         carved(recording, scan3d.reconstruct(recording))
+
+
+def test_the_surface_ends_halfway_to_the_next_slice_without_contact():
+    """Where the body ends between two planes is not known: halfway is at most wrong by half of what they are apart."""
+    recording = recording_of(cassini, np.linspace(-28.6, 28.6, 12), samples=24)
+    cloud = contacts(recording)
+    heights = carved(recording, cloud).surface.vertices[:, 2]
+    top = np.sqrt(18.0**2 + 19.08**2)
+    assert cloud.points[:, 2].max() < 24 < heights.max() < 28.6
+    assert abs(heights.max() - top) < 2.6
+    assert abs(heights.min() + top) < 2.6

@@ -77,7 +77,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     contours = outer_contours(sheets, touched)
     spacing = spacing_of(touched)
     unreached = _unreached(contours, sheets, spacing)
-    points = np.concatenate([touched.points, unreached])
+    points = np.concatenate([touched.points, unreached, _flat(sheets, spacing)])
     corners = kept_apart(points, _SAME * spacing)
     faces = corners[_bounded(points[corners], sheets, spacing)]
     # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
@@ -96,6 +96,28 @@ def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Arra
     if len(points):
         points = points[_depth(points, sheets) <= max(sheet.cell for sheet in sheets)]
     return points[kept_apart(points, spacing)] if len(points) else points
+
+
+def _flat(sheets: list[Sheets], spacing: float) -> Array:
+    """(n, 3) places between planes of which only one has the body there, farther than a spacing from its border in either.
+
+    Without corners there tetrahedra from the one plane to the other would be flat roofs of no place's height.
+    """
+    found = [np.empty((0, 3))]
+    for sheet in sheets:
+        every = max(int(2 * spacing / sheet.cell), 1)
+        depth = np.clip(sheet.depth, -sheet.apart, sheet.apart)[:, ::every, ::every]
+        here, there = depth[:-1], depth[1:]
+        k, y, x = np.nonzero((here * there < 0) & (np.minimum(np.abs(here), np.abs(there)) > spacing))
+        a, b = here[k, y, x], there[k, y, x]
+        height = sheet.height[k] + a / (a - b) * np.diff(sheet.height)[k]
+        place = sheet.origin + sheet.cell * every * np.stack([x, y], axis=1)
+        found.append(place @ sheet.frame[:2] + height[:, None] * sheet.frame[2])
+    points = np.concatenate(found)
+    on_border = (
+        np.abs(_depth(points, sheets)) <= max(sheet.cell for sheet in sheets) if len(points) else np.zeros(0, bool)
+    )
+    return np.asarray(points[on_border])
 
 
 def _depth(points: Array, sheets: list[Sheets]) -> Array:
