@@ -50,7 +50,8 @@ from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.bounds.constraints import HalfSpaces, by_arcs, by_secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.polytopes import half_space_intersection, volume_about
+from scan3d.geometry.hulls import hull_about_mean
+from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.reconstruction.slices import SliceStack
 
 MOST_CROSSINGS = 6_000
@@ -191,7 +192,13 @@ def _slab(stack: SliceStack, arrangement: _Arrangement, i: int, *, volumes: bool
     on_end = (on_low & (i == 1)) | (on_high & (i + 1 == count))
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
     straight = _corners_are_straight(cell, one_sided=in_cap) & ~on_end[:, None]
-    return Slab(cell.corners, kind, straight, cell.volume() if volumes else np.nan)
+    if not volumes:
+        return Slab(cell.corners, kind, straight, np.nan)
+    # of the size of 1 along each axis, so that Qhull can handle thin slabs; one without a body in it has none but rounding
+    flat = cell.corners @ stack.frame.T
+    size = np.ptp(flat, axis=0)
+    found = hull_about_mean(flat / np.maximum(size, 1e-300))
+    return Slab(cell.corners, kind, straight, float(size.prod()) * (1.0 if found is None else float(found.volume)))
 
 
 def _corners_are_straight(cell: _Cell, *, one_sided: bool) -> Mask:
@@ -223,10 +230,6 @@ class _Cell(NamedTuple):
     """(k,) 1 for those that hold above a slice, 0 for those that hold below one, -1 for the cell's planes and the table's."""
     straight: Mask
     """(k,) as in `HalfSpaces`."""
-
-    def volume(self) -> float:
-        middle = self.corners.mean(axis=0)
-        return volume_about(self.corners - middle, self.planes[:, :3], self.meeting)
 
 
 class _Arrangement:

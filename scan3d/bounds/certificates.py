@@ -18,12 +18,9 @@ from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest
 from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners, bounding_nothing
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
-from scan3d.geometry.distance import nearest, nearest_on
-from scan3d.geometry.hulls import support_values
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.triangles import spanned
-
-# Corners of the outer body that are measured at once.
-_CORNERS_AT_ONCE = 2048
 
 
 class Certificate(NamedTuple):
@@ -69,30 +66,15 @@ def _of_convex(bounds: Enclosure, surface: Any) -> tuple[float, Array]:
     """The bound of a convex surface, and the local bound (v,) at its vertices."""
     vertices = surface.vertices.view(np.ndarray)
     outwards = np.maximum(bounds.sticking_out(vertices), 0.0)
-    bound = _largest_distance(bounds, surface, float(outwards.max())) if bounds.closed else np.inf
+    bound = np.inf
+    if bounds.closed and np.isfinite(bounds.gap).all():
+        farthest = float(nearest(_extreme(bounds.corners), surface)[0].max())
+        bound = max(float(outwards.max()), farthest + bounds.reach)
     local = np.minimum(np.maximum(outwards, _depths(bounds, surface)), bound)
     if bounds.tighter is not None:
         other, other_local = _of_convex(bounds.tighter, surface)
         bound, local = min(bound, other), np.minimum(local, other_local)
     return bound, local
-
-
-def _largest_distance(bounds: Enclosure, surface: Any, known: float) -> float:
-    """How far the body can lie from a convex surface by the corners, or `known` where that is larger.
-
-    Corners are measured in the order of the distances that they may have at most, until none of the others can be farther.
-    """
-    if not np.isfinite(bounds.gap).all():
-        return np.inf
-    distance = nearest_on(surface)
-    between = max(float(distance(bounds.inner.vertices)[0].max()), 0.0) + max(bounds.reach, 0.0)
-    order, largest = np.argsort(-bounds.gap), known
-    for start in range(0, len(order), _CORNERS_AT_ONCE):
-        rows = order[start : start + _CORNERS_AT_ONCE]
-        if bounds.gap[rows[0]] + between <= largest:
-            break
-        largest = max(largest, float(distance(bounds.corners[rows])[0].max()) + bounds.reach)
-    return largest
 
 
 def _depths(bounds: Enclosure, surface: Any) -> Array:
@@ -114,7 +96,7 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
         size = np.linalg.norm(normals, axis=1)
         known = np.flatnonzero(size > 0)
         outward = normals[known] / size[known, None]
-        depth = support_values(bounds.corners, outward) - (outward * corner[known, 0]).sum(axis=1)
+        depth = highest(_extreme(bounds.corners), outward) - (outward * corner[known, 0]).sum(axis=1)
         depths = np.full(len(vertices), -np.inf)
         np.maximum.at(depths, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
         depths[np.isneginf(depths)] = np.inf
@@ -123,6 +105,12 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
     if bounds.directions is not None and bounds.directions.open.any():
         depths[faces[_are_open(bounds.directions, normals)]] = np.inf
     return np.maximum(depths + bounds.reach, 0.0)
+
+
+def _extreme(points: Array) -> Array:
+    """Those of the points (n, 3) that are vertices of their hull; all where Qhull finds none."""
+    found = hull_about_mean(points)
+    return points if found is None else points[found.vertices]
 
 
 def _are_open(directions: Directions, normals: Array) -> Index:

@@ -16,11 +16,12 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, unit
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, highest, unit
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
+from scan3d.geometry.polytopes import cut_polytope
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack
@@ -33,6 +34,9 @@ AVERAGED = (2, 4, 16, 64)
 _SHARE = 0.2
 EXACT = 2e-9
 """Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave."""
+# Half-width of an arc, in radians, from which on its plane is moved too far to bound anything, and depth of a plane's cut that
+# counts, in sizes of the body.
+_NARROW, _SHALLOWEST = 0.1, 1e-9
 # Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
 _APART = 4.0
 STRAIGHT = 0.03
@@ -110,11 +114,21 @@ class Tangents(NamedTuple):
         """Points (n, 3) of the frame in the world."""
         return points @ self.shape + self.centre
 
-    def exclude(self, points: Array) -> Mask:
-        """Whether points (n, 3) of the world lie beyond one of the planes, whichever normal of its arc that has."""
-        depths = self.arcs.depths((points - self.centre) @ np.linalg.inv(self.shape))
-        excluded: Mask = np.asarray((depths > 0).any(axis=1))
-        return excluded
+    def enclosing(self, corners: Array) -> Array:
+        """Corners (v, 3) of what the planes leave of a body in the hull of points (w, 3), in the world.
+
+        A normal that is turned by θ within its arc has ``<middle, x - p> <= tan θ <across, x - p>`` for all x of the body, so
+        that the plane with the middle one holds where it is moved outwards by the most that this can be.
+        """
+        arcs = self.arcs.select(np.flatnonzero(self.arcs.half_width < _NARROW))
+        corners = (corners - self.centre) @ np.linalg.inv(self.shape)
+        place = dot(arcs.points, arcs.across)
+        far = np.maximum(highest(corners, arcs.across) - place, highest(corners, -arcs.across) + place)
+        planes = np.column_stack([arcs.middle, dot(arcs.points, arcs.middle) + np.tan(arcs.half_width) * far])
+        planes = planes[planes[:, 3] > NEGLIGIBLE]
+        size = float(np.abs(corners).max())
+        found = cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, _SHALLOWEST)
+        return np.asarray(found @ self.shape + self.centre)
 
     def normals(self) -> tuple[Array, Array]:
         """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""

@@ -251,13 +251,22 @@ def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     )
     if found is None:
         return bounds
-    bound = max(float(found.gap.max()) if len(found.gap) else np.inf, exact_error(cloud))
-    if bound >= _TIGHTER * bounds.bound:
+    return _tightened(bounds, found.corners, found.gap, exact_error(cloud), _TIGHTER)
+
+
+def _tightened(bounds: Enclosure, corners: Array, gap: Array, error: float, part: float = 1.0) -> Enclosure:
+    """The enclosure with that by another outer body, if its bound is below a part of what is known.
+
+    corners, gap (w,)
+        of the other body, and their distances from the same inner one, of exact contacts with errors of at most `error`.
+    """
+    bound = max(float(gap.max()) if len(gap) else np.inf, error)
+    if bound >= part * bounds.bound:
         return bounds
     within = float(bounds.inner.volume + _shell(bounds.inner, bound)) * (1 + ROUNDING)
     volume = bounds.volume[0], max(min(bounds.volume[1], within), bounds.volume[0])
-    cells = Enclosure(inner=bounds.inner, corners=found.corners, gap=found.gap, bound=bound, margin=0.0, volume=volume)
-    return replace(bounds, tighter=cells, bound=bound, volume=volume)
+    other = Enclosure(inner=bounds.inner, corners=corners, gap=gap, bound=bound, margin=0.0, volume=volume)
+    return replace(bounds, tighter=other, bound=bound, volume=volume)
 
 
 def _shell(body: Any, distance: float) -> float:
@@ -303,21 +312,15 @@ def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
 
 
 def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
-    """The enclosure with that by the tangents of all contacts, if it is tighter."""
+    """The enclosure with that by the planes of the tangents whose normals are known best, if it is tighter."""
+    if not bounds.closed:
+        return bounds
     along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
-    errors = np.full(len(cloud), exact_error(cloud))
-    tangent = tangent_planes(anywhere, errors)
-    known = bounds if bounds.tighter is None else bounds.tighter
-    worst = known.corners[[known.gap.argmax()]]
-    # where no tangent excludes the farthest corner, no choice of them bounds the body more tightly
-    if np.isfinite(worst).all() and not tangent.exclude(worst).any():
-        return bounds
-    found = _by_apexes(anywhere, errors, bounds.confidence)
-    if found.bound >= bounds.bound:
-        return bounds
-    volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
-    return replace(bounds, tighter=found, bound=found.bound, volume=volume)
+    tangent = tangent_planes(anywhere, np.full(len(cloud), exact_error(cloud)))
+    corners = tangent.enclosing(bounds.corners)
+    gap = np.maximum(nearest(corners, bounds.inner)[0], 0.0)
+    return _tightened(bounds, corners, gap, exact_error(cloud))
 
 
 def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> Enclosure:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import chain
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, across, highest
-from scan3d.geometry.triangles import areas, dot
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, highest
+from scan3d.geometry.triangles import areas
 
 # Distance, in sizes of the body, of the planes that close a polytope.
 _FAR = 2.0
@@ -107,35 +105,6 @@ def _vertices(planes: Array, inside: Array) -> Array:
         return inside[None]
     vertices: Array = inside - equations[:, :3] / equations[:, 3:]
     return np.unique(vertices, axis=0)
-
-
-def volume_about(vertices: Array, normals: Array, planes_through: list[list[int]]) -> float:
-    """Volume of a polytope about the origin, from its vertices (v, 3) and the outward normals (k, 3) of its planes.
-
-    planes_through
-        the planes through each vertex.
-
-    The vertices of each plane are sorted by their angles about their middle; with it, two neighbours and the origin make
-    tetrahedra.
-    """
-    count = np.fromiter(map(len, planes_through), dtype=np.intp)
-    vertex, plane = (
-        np.repeat(np.arange(len(count)), count),
-        np.fromiter(chain.from_iterable(planes_through), dtype=np.intp),
-    )
-    number = np.bincount(plane, minlength=len(normals))
-    sums = np.stack([np.bincount(plane, column[vertex], len(normals)) for column in vertices.T], axis=1)
-    middle = sums / np.maximum(number, 1)[:, None]
-    corner = vertices[vertex]
-    offset = corner - middle[plane]
-    first, second = across(normals)
-    angle = np.arctan2(dot(offset, second[plane]), dot(offset, first[plane]))
-    order = np.lexsort((angle, plane))
-    corner, plane = corner[order], plane[order]
-    ends = np.cumsum(number)
-    following = np.arange(1, len(plane) + 1)
-    following[ends[number > 0] - 1] = (ends - number)[number > 0]
-    return float(dot(middle[plane], np.cross(corner, corner[following])).sum()) / 6
 
 
 def half_space_intersection(planes: Array, inside: Array) -> HalfspaceIntersection:

@@ -81,8 +81,6 @@ Distances = Callable[[Array], Array]
 class SlabMemory:
     """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
 
-    stacks: list[SliceStack] = field(default_factory=list)
-    """The slices, which the next call finds in use."""
     slabs: dict[SlabKey, Slab] = field(default_factory=dict)
     gaps: dict[SlabKey, Array] = field(default_factory=dict)
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
@@ -130,7 +128,7 @@ def next_heights(
     span no body.
     """
     memory = memory or SlabMemory()
-    candidates = memory.stacks = stacks(cloud)
+    candidates = stacks(cloud)
     stack = _stack(candidates, cloud, axis)
     done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS).sum())
     left = plan.slices + BEYOND - done if left is None else left

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, evenly
 from scan3d.cloud import Cloud, Tilt
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
@@ -49,8 +49,8 @@ _TILTED = 0.2
 _STEINER_DIRECTIONS = 360
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
-# Slices next to an end that are built first to bound the body there; if they do not, all are built.
-_NEXT = 3
+# Support lines at most that bound the section of a body beyond its slices.
+_SIDES = 60
 
 
 class Planes(NamedTuple):
@@ -324,35 +324,24 @@ class SliceStack:
 
 
 def stacks(cloud: Cloud) -> list[SliceStack]:
-    """The cloud's slices, one stack for each axis it was sliced along.
-
-    They are kept with the cloud, and a cloud of further slices takes over those that it has in common with it.
-    """
+    """The cloud's slices, one stack for each axis it was sliced along; they are kept with the cloud."""
     of = (cloud.points, cloud.in_plane_normals, cloud.phase, cloud.slice, cloud.slice_axis, cloud.slice_height)
     inputs = *of, cloud.unresolved, cloud.table
-    if "stacks" in cloud.kept:
-        known, before = cloud.kept["stacks"]
-        if all(one is other for one, other in zip(inputs, before, strict=True)):
-            return list(known)
-    else:
-        known = ()
-    found = tuple(_computed(cloud, known))
-    cloud.kept["stacks"] = found, inputs
-    return list(found)
+    known, before = cloud.kept.get("stacks", ((), ()))
+    if len(before) != len(inputs) or any(one is not other for one, other in zip(inputs, before, strict=True)):
+        known = _computed(cloud)
+        cloud.kept["stacks"] = known, inputs
+    return list(known)
 
 
-def _computed(cloud: Cloud, known: Sequence[SliceStack]) -> list[SliceStack]:
+def _computed(cloud: Cloud) -> list[SliceStack]:
     by_axis = []
     rows = _rows_of_slices(cloud)
-    earlier = {(stack.frame.tobytes(), s.height): s for stack in known for s in stack.slices}
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
-        slices = [
-            _slice(cloud, frame, number, rows[number], earlier.get((frame.tobytes(), cloud.slice_height[number])))
-            for number in order
-        ]
+        slices = [_slice(cloud, frame, number, rows[number]) for number in order]
         filled = [slice_ for slice_ in slices if len(slice_.rows)]
         if not filled:
             continue
@@ -388,18 +377,12 @@ def _rows_of_slices(cloud: Cloud) -> list[Index]:
     return [order[start:end] for start, end in itertools.pairwise(first)]
 
 
-def _slice(cloud: Cloud, frame: Array, number: int, rows: Index, known: Slice | None) -> Slice:
-    """A slice of the cloud, taken over from what is `known` of its plane if it has the same contacts."""
+def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
     points = cloud.points[rows] @ frame[:2].T
     measured = np.isfinite(cloud.in_plane_normals[rows, 0])
     along_rod = cloud.phase[rows] == planar.Phase.TANGENTIAL
     tangential, tip = np.flatnonzero(measured & along_rod), np.flatnonzero(measured & ~along_rod)
     normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (tangential, tip))
-    own = points, tangential, normals, tip, tip_normals
-    if known is not None:
-        earlier = known.points, known.tangential, known.normals, known.tip, known.tip_normals
-        if all(map(np.array_equal, own, earlier)):
-            return known if np.array_equal(known.rows, rows) else replace(known, rows=rows)
     raw = np.arctan2(normals[:, 1], normals[:, 0])
     order = np.argsort(raw, kind="stable")
     # contacts with one normal lie on a straight edge of the contour
@@ -450,49 +433,28 @@ def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt
     found = np.zeros(len(cloud.slice_height), dtype=bool)
     filled = np.zeros(len(found), dtype=bool)
     filled[cloud.slice] = True
-    everything: list[SliceStack] = []
-    for i, stack in enumerate(stacks(_ends_of(cloud))):
-        empty = np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS))
-        for k in empty:
-            height = float(cloud.slice_height[k])
-            polygon = _section(_from(stack, height), height)
-            if polygon is None:
-                everything = everything or stacks(cloud)
-                polygon = _section(_from(everything[i], height), height)
-            areas = _swept(recording, number == k, stack.frame, felt)
-            found[k] = polygon is None or not _covered(polygon, areas)
+    for stack in stacks(cloud):
+        for k in np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS)):
+            polygon = _section(stack, float(cloud.slice_height[k]))
+            found[k] = polygon is None or not _covered(polygon, _swept(recording, number == k, stack.frame, felt))
     return found
 
 
-def _ends_of(cloud: Cloud) -> Cloud:
-    """The cloud with contacts in the slices next to the ends of each axis only, which nearly always bound the body there."""
-    filled = np.unique(cloud.slice)
-    kept = np.zeros(len(cloud.slice_height), dtype=bool)
-    for axis in np.unique(np.round(cloud.slice_axis[filled], 9), axis=0):
-        along = filled[np.abs(cloud.slice_axis[filled] - axis).max(axis=1) < SAME_AXIS]
-        along = along[np.argsort(cloud.slice_height[along])]
-        kept[along[:_NEXT]] = kept[along[-_NEXT:]] = True
-    return cloud.select(kept[cloud.slice])
-
-
-def _from(stack: SliceStack, height: float) -> tuple[Slice, ...]:
-    """The slices of a stack from the nearest to a height beyond them."""
-    return stack.slices if height < stack.heights[0] else stack.slices[::-1]
-
-
-def _section(slices: tuple[Slice, ...], height: float) -> Array | None:
-    """Corners (v, 2) of a polygon that contains the section of the body at a height beyond slices, the nearest one first.
+def _section(stack: SliceStack, height: float) -> Array | None:
+    """Corners (v, 2) of a polygon that contains the section of the body at a height beyond the slices of a stack.
 
     None if the slices do not bound it, and no corners if the slices prove that there is none.
     """
-    for here, behind in zip(slices[:-1], slices[1:], strict=True):
+    slices = stack.slices if height < stack.heights[0] else stack.slices[::-1]
+    for here, behind in itertools.pairwise(slices):
         if not here.closed:
             continue
-        normals = np.stack([np.cos(here.angle), np.sin(here.angle)], axis=1)
-        secant = (here.value - behind.support_of_contacts(normals)) / (here.height - behind.height)
+        sides = evenly(np.arange(len(here.angle)), _SIDES)
+        normals = np.stack([np.cos(here.angle[sides]), np.sin(here.angle[sides])], axis=1)
+        secant = (here.value[sides] - behind.support_of_contacts(normals)) / (here.height - behind.height)
         middle, size = here.points.mean(axis=0), _FAR * float(np.ptp(here.points, axis=0).max())
         polygon: Array = middle + size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-        for normal, value in zip(normals, here.value + secant * (height - here.height), strict=True):
+        for normal, value in zip(normals, here.value[sides] + secant * (height - here.height), strict=True):
             polygon = _clipped(polygon, normal, float(value))
         return polygon
     return None

@@ -117,7 +117,6 @@ def recorded(
     position: Array,
     wrench: Array,
     source: dict[str, Any],
-    first: int = 0,
 ) -> Recording:
     """The recording of sweeps (m), as a rig would log it, with the noise of a plan.
 
@@ -126,8 +125,6 @@ def recorded(
     number, position (n, 3), wrench (n, 3) or (n, 6)
         at each sample: number of the sweep, the clamp's place in the plan's unit, and reactions in units of the rod, two of the
         force and one of the moment or all, NaN without contact.
-    first
-        number of the first sweep in the recording.
     """
     # scipy wants the clamp's axes as columns
     quaternion = Rotation.from_matrix(np.swapaxes(axes, 1, 2)).as_quat(scalar_first=True)
@@ -141,7 +138,7 @@ def recorded(
     if forces == 3:
         six_axes = {"force_z_N": force[:, 2], "moment_x_Nm": moment[:, 0], "moment_y_Nm": moment[:, 1]}
     return Recording(
-        sweep=np.asarray(first + number, dtype=np.int64),
+        sweep=np.asarray(number, dtype=np.int64),
         position_m=position * UNITS_M[plan.unit],
         quaternion=quaternion[number],
         force_N=force[:, :2],

@@ -34,7 +34,7 @@ from scan3d.planning.plan import (
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.planning.stretches import Aim, aimed_line, aims
 from scan3d.processes import check_memory
-from scan3d.reconstruction.contacts import GrowingContacts, contacts
+from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
@@ -164,34 +164,22 @@ def _cosine_heights(scan: AxisScan) -> Array:
 def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequence[AxisScan] = ()) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise.
 
-    Exact contacts of finished scans along other axes are given to the planner as well.
+    Contacts of finished scans along other axes are given to the planner as well.
     """
-
-    def nothing_yet() -> tuple[SlabMemory, GrowingContacts, int]:
-        grown = GrowingContacts()
-        for other in others:
-            grown.add(recording_of([other], rod))
-        return SlabMemory(), grown, 0
-
-    memory, grown, done = nothing_yet()
-    finest = _FINEST * scan.plan.samples
+    finest, memory = _FINEST * scan.plan.samples, SlabMemory()
     if scan.plan.tolerance and not scan.plan.noise:
         with suppress(InputError):  # the first slices alone may span no body
             _refine(scan, rod, _OF_TOLERANCE * scan.plan.tolerance, finest)
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
-        if not scan.plan.noise and len(scan.swept) > done:
-            grown.add(recording_of([scan], rod, done))
-            done = len(scan.swept)
         try:
-            # contacts under noise depend on each other, those of exact reactions on their own slice only
-            cloud = contacts(recording_of([scan], rod)) if scan.plan.noise else grown.cloud()
+            cloud = contacts(recording_of([*others, scan], rod))
             heights = next_heights(cloud, scan.plan, axis=scan.frame[2], left=left, memory=memory)
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
             if not (scan.plan.tolerance and _refine(scan, rod, scan.plan.tolerance, finest)):
                 break
-            memory, grown, done = nothing_yet()
+            memory = SlabMemory()
             continue
         scan.scan(heights)
         _check_sweeps(scan, scan.plan.samples)
@@ -468,13 +456,13 @@ def width_of(mesh: Any, frame: Array) -> float:
     return float(max(widths))
 
 
-def recording_of(scans: list[AxisScan], rod: Rod, first: int = 0) -> Recording:
-    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on.
+def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
+    """The recording of all sweeps so far, as a rig would log it.
 
     Samples of which no equilibrium was found are left out, and what follows them counts as another sweep.
     """
     plan, length = scans[0].plan, scans[0].length
-    swept = [(scan, *swept) for scan in scans for swept in scan.swept[first:]]
+    swept = [(scan, *swept) for scan in scans for swept in scan.swept]
     places = [positions(line, result.x0 * length, scan.heights[i], scan.frame) for scan, i, line, result in swept]
     axes = np.array([clamp_axes(line, scan.frame) for scan, _, line, _ in swept])
     wrenches = [np.stack([result.f0x, result.f0y, result.m0z], axis=1) for *_, result in swept]
@@ -487,4 +475,4 @@ def recording_of(scans: list[AxisScan], rod: Rod, first: int = 0) -> Recording:
         np.concatenate(wrenches)[known],
     )
     source = {} if scans[0].convex else {"convex": False, "unresolved": int((~known).sum())}
-    return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source, first)
+    return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source)

@@ -23,14 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
-from planar.arrays import BLOCK
-from planar.elastica import bend_by_half_angle
-from scan3d.arrays import Array, Index, Mask
+from planar.inverses import solve
+from scan3d.arrays import Array, Index
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod
 
-# Reactions between this and its inverse have squares and products that are numbers; rows beyond are scaled first.
-_SAFE = 1e-75
+_STRAIGHT = planar.Rod()
 PAST_TIP = 0.999
 """Tolerance with which contacts that errors put past the tip by nearly the rod's length have a place as well."""
 # Relative step of the differences by which errors of any rod carry over.
@@ -160,43 +158,41 @@ def reconstruct(
         if not all(0 <= deviation < np.inf for deviation in noise):
             raise ValueError(f"noise must be two standard deviations >= 0, got {noise}")
         noise = noise if max(noise) > 0 else None
-    if rod is not None and not rod.is_straight_and_uniform:
-        return _marched(rod, f0, m0, zero, None if gravity is None else np.asarray(gravity, dtype=float), steps)
-    contacts = _empty(len(f0))
-    np.negative(f0, out=contacts.force)
+    other = None if rod is None or rod.is_straight_and_uniform else rod
     with np.errstate(all="ignore"):
-        for first in range(0, len(f0), BLOCK):
-            rows = slice(first, first + BLOCK)
-            _fill(contacts, rows, f0[rows].T, m0[rows].T, zero[rows] if zero.ndim else zero, noise)
-    return contacts
-
-
-def _marched(
-    rod: SpatialRod, f0: Array, m0: Array, zero: Array, gravity: Array | None, steps: int | None
-) -> SpatialContacts:
-    """`reconstruct` for rods that do not bend in a plane."""
-    found = march.contacts(rod, f0.T, m0.T, None if gravity is None else gravity.T, steps)
-    with np.errstate(all="ignore"):
-        ex, ez, m = _normalised(m0[:, 2], -m0[:, 0])
-        f = np.linalg.norm(found.force, axis=0)
-        q = m / (2 * np.sqrt(f))
-    known = np.isfinite(found.s1)
-    valid = known & (found.s1 <= 1 + zero)
-    tangential = valid & (found.s1 < 1 - zero)
-    status = np.full(len(f0), Status.OK, dtype=np.int8)
-    status[known & ~valid] = Status.BEYOND_TIP
+        m = np.hypot(m0[:, 0], m0[:, 2])
+        ex, ez = m0[:, 2] / m, -m0[:, 0] / m
+        if other is not None:
+            down = None if gravity is None else np.asarray(gravity, dtype=float).T
+            found = march.contacts(other, f0.T, m0.T, down, steps)
+            s1, point, tangent, force, torsion, skew = (np.array(column.T) for column in found)
+            size = np.linalg.norm(force, axis=1)
+        else:
+            if noise is not None:
+                x, z = bending_direction(f0.T, m0.T, noise)
+                ex, ez = (np.where(np.isfinite(x), found, own) for found, own in ((x, ex), (z, ez)))
+                m = m0[:, 2] * ex - m0[:, 0] * ez
+            solved = solve("closed-form", _STRAIGHT, f0[:, 0] * ex + f0[:, 2] * ez, f0[:, 1], m)
+            slope, s1, force, size = solved.alpha - solved.beta, solved.s1, -f0, solved.force
+            point = np.stack([solved.x * ex, solved.y, solved.x * ez], axis=1)
+            tangent = np.stack([np.cos(slope) * ex, np.sin(slope), np.cos(slope) * ez], axis=1)
+            torsion, skew = m0[:, 1].copy(), _dot(f0, m0)
+        q = m / (2 * np.sqrt(size))
+        known = np.isfinite(s1) & np.isfinite(point).all(axis=1) & np.isfinite(tangent).all(axis=1)
+        valid = known & (s1 <= 1 + zero)
+        tangential = valid & (s1 < 1 - zero)
+    # where several reasons apply, the last one counts
+    status = np.where(valid, Status.OK, Status.BEYOND_TIP).astype(np.int8)
     status[~known] = Status.NO_ROD
-    status[~(f > 0) | ~np.isfinite(m0).all(axis=1)] = Status.NO_FORCE
-    columns = [found.point.T, found.s1, found.tangent.T, np.stack([ex, 0 * ex, ez], axis=1), q]
-    for column in columns:
-        column[~valid] = np.nan
-    phase = planar.Phase.TANGENTIAL * tangential.astype(np.int8) + planar.Phase.TIP * (valid & ~tangential).astype(
-        np.int8
-    )
-    point, s1, tangent, bending, q = columns
-    return SpatialContacts(
-        point, s1, tangent, found.force.T, bending, q, phase, status, found.torsion, found.skew, in_plane=False
-    )
+    if other is None:
+        status[(m0[:, 0] == 0) & (m0[:, 2] == 0)] = Status.NO_MOMENT
+    status[~(np.isfinite(f0) & np.isfinite(m0)).all(axis=1) | (force == 0).all(axis=1)] = Status.NO_FORCE
+    bending = np.stack([ex, 0 * ex, ez], axis=1)
+    for column in (point, s1, tangent, bending, q):
+        column[status != Status.OK] = np.nan
+    phase = np.where(tangential, planar.Phase.TANGENTIAL, planar.Phase.TIP)
+    phase = np.where(status == Status.OK, phase, planar.Phase.NONE).astype(np.int8)
+    return SpatialContacts(point, s1, tangent, force, bending, q, phase, status, torsion, skew, in_plane=other is None)
 
 
 def bending_direction(f0: Array, m0: Array, noise: tuple[float, float]) -> tuple[Array, Array]:
@@ -303,109 +299,6 @@ def _errors_by_differences(
     largest = np.full(len(f0), np.inf)
     largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
     return SpatialErrors(point, largest, *(np.where(known, v, np.inf) for v in (s1, beta, tangent, plane, force)))
-
-
-def _fill(
-    contacts: SpatialContacts, rows: slice, f0: Array, m0: Array, zero: Array, noise: tuple[float, float] | None
-) -> None:
-    """Write the contacts of one block, given by its reactions (3, n)."""
-    contacts.torsion[rows] = m0[1]
-    contacts.skew[rows] = f0[0] * m0[0] + f0[1] * m0[1] + f0[2] * m0[2]
-    ex, ez, m = _normalised(m0[2], -m0[0])
-    if noise is not None:
-        x, z = bending_direction(f0, m0, noise)
-        known = np.isfinite(x)
-        ex, ez = np.where(known, x, ex), np.where(known, z, ez)
-        m = m0[2] * ex - m0[0] * ez
-    f0e = f0[0] * ex + f0[2] * ez
-    cos_alpha, sin_alpha, f = _normalised(f0[1], -f0e)
-    root = np.sqrt(f)
-    q = m / (2 * root)
-    # sine and cosine of α/2, the larger one first
-    larger = np.sqrt((1 + np.abs(cos_alpha)) / 2)
-    smaller = sin_alpha / (2 * larger)
-    s, c = smaller, larger
-    backward = cos_alpha < 0
-    if backward.any():
-        s = np.where(backward, np.copysign(larger, sin_alpha), smaller)
-        c = np.where(backward, np.abs(smaller), larger)
-    shape = bend_by_half_angle(s, c, q)[0]
-    s1 = shape.length / root
-    tip_distance = 1 - s1
-    valid = (tip_distance >= -zero) & (q > 0)
-    valid &= np.isfinite(shape.x)
-    tangential = tip_distance > zero
-    tangential &= valid
-
-    # k and k' are sine and cosine of β/2 + π/4
-    m_k, complement = s * s + q * q, c * c - q * q
-    sin_beta, cos_beta = m_k - complement, 2 * np.sqrt(m_k * complement)
-    slope = cos_alpha * cos_beta + sin_alpha * sin_beta
-    across = shape.x / root
-    contacts.point[rows, 0], contacts.point[rows, 2] = across * ex, across * ez
-    np.divide(shape.y, root, out=contacts.point[rows, 1])
-    contacts.tangent[rows, 0], contacts.tangent[rows, 2] = slope * ex, slope * ez
-    np.subtract(sin_alpha * cos_beta, cos_alpha * sin_beta, out=contacts.tangent[rows, 1])
-    contacts.bending[rows, 0], contacts.bending[rows, 2] = ex, ez
-    contacts.s1[rows], contacts.q[rows] = s1, q
-    contacts.phase[rows] = planar.Phase.TANGENTIAL * tangential.view(np.int8) + planar.Phase.TIP * (
-        valid & ~tangential
-    ).view(np.int8)
-    if not valid.all():
-        _reject(contacts, rows, ~valid, f0, m0, (q, complement))
-
-
-def _reject(
-    contacts: SpatialContacts, rows: slice, invalid: Mask, f0: Array, m0: Array, rod: tuple[Array, Array]
-) -> None:
-    """Give invalid rows the reason as their status and NaN as their values; the last reason that applies counts."""
-    q, complement = rod
-    status = np.full(len(invalid), Status.BEYOND_TIP, dtype=np.int8)
-    # a force beyond α = π/2 has a rod whose length may be infinite
-    status[(complement <= 0) | ~np.isfinite(q)] = Status.NO_ROD
-    status[(m0[0] == 0) & (m0[2] == 0)] = Status.NO_MOMENT
-    present = np.isfinite(f0).all(axis=0) & np.isfinite(m0).all(axis=0)
-    status[~present | (f0 == 0).all(axis=0)] = Status.NO_FORCE
-    contacts.status[rows][invalid] = status[invalid]
-    for column in (contacts.point, contacts.s1, contacts.tangent, contacts.bending, contacts.q):
-        column[rows][invalid] = np.nan
-
-
-def _normalised(x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Vectors (n,) scaled to unit length, and their lengths; NaN without a direction."""
-    size = np.sqrt(x * x + y * y)
-    odd = ~((size > _SAFE) & (size < 1 / _SAFE))
-    if odd.any():
-        largest = np.maximum(np.abs(x[odd]), np.abs(y[odd]))
-        cosine, sine = x.copy(), y.copy()
-        cosine[odd] /= largest
-        sine[odd] /= largest
-        length = np.sqrt(cosine[odd] ** 2 + sine[odd] ** 2)
-        size[odd] = length
-        cosine, sine = cosine / size, sine / size
-        size[odd] = length * largest
-        size[odd & (x == 0) & (y == 0)] = 0.0
-        return cosine, sine, size
-    inverse = 1 / size
-    return x * inverse, y * inverse, size
-
-
-def _empty(n: int) -> SpatialContacts:
-    def vectors() -> Array:
-        return np.zeros((3, n)).T  # each component in one piece
-
-    return SpatialContacts(
-        point=vectors(),
-        s1=np.empty(n),
-        tangent=vectors(),
-        force=vectors(),
-        bending=vectors(),
-        q=np.empty(n),
-        phase=np.empty(n, dtype=np.int8),
-        status=np.zeros(n, dtype=np.int8),
-        torsion=np.empty(n),
-        skew=np.empty(n),
-    )
 
 
 def _checked(name: str, values: ArrayLike) -> Array:
