@@ -110,21 +110,18 @@ def complete(
             values = np.stack([solved.s1, solved.beta, solved.alpha - solved.beta])
         return np.where(wrong, np.nan, values).reshape(3, *shape)
 
-    def at_tip(value: Array, a: Array, b: Array, _: Array) -> Array:
-        return np.asarray(found(value, a, b)[0] - 1)
-
-    def of_friction(value: Array, a: Array, b: Array, angle: Array) -> Array:
-        return np.asarray(found(value, a, b)[1] - angle)
-
-    def of_slope(value: Array, a: Array, b: Array, angle: Array) -> Array:
-        return np.asarray(found(value, a, b)[2] - angle)
+    def missed(which: int) -> Residual:
+        """What s1, β or α - β is more than the known value."""
+        return lambda value, a, b, known: np.asarray(found(value, a, b)[which] - known)
 
     # a moment that is not positive is that of a rod bent against the sweep
     tried = _TRIED if missing == 2 else np.concatenate([-_TRIED[::-1], _TRIED])
+    at_tip = np.ones(count)
     if slope is not None or tip:
-        candidates = _roots(of_slope if slope is not None else at_tip, tried, a, b, angle)
+        candidates = _roots(missed(0 if tip else 2), tried, a, b, at_tip if tip else angle)
     else:
-        tangential, tips = (_roots(of, tried, a, b, angle) for of in (of_friction, at_tip))
+        tangential = _roots(missed(1), tried, a, b, angle)
+        tips = _roots(missed(0), tried, a, b, at_tip)
         tangential[found(tangential, a[:, None], b[:, None])[0] > 1 + _ROOT] = np.nan
         tips[found(tips, a[:, None], b[:, None])[1] > angle[:, None] - _ROOT] = np.nan
         candidates = np.concatenate([tangential, tips], axis=1)

@@ -367,19 +367,15 @@ def _determined(problem: Problem, rig: Rig, normal: Array) -> Mask:
 
 def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
     """The rig with the parameters that are not determined at their nominal values."""
-    return Rig(
-        rig.stiffness if free[STIFFNESS] else nominal.stiffness,
-        np.where(free[CLAMP:TILT], rig.clamp, nominal.clamp),
-        np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
-        rig.turn if free[TURN:SENSOR].any() else nominal.turn,
-        np.where(free[SENSOR:PLACE], rig.sensor, nominal.sensor),
-        rig.reference,
-        rig.length if free[LENGTH] else nominal.length,
-        rig.tare,
-        rig.mixing,
-        rig.stated,
-        np.where(free[SHAPE:MIXING], rig.shape, nominal.shape),
-        rig.marched,
+    return replace(
+        rig,
+        stiffness=rig.stiffness if free[STIFFNESS] else nominal.stiffness,
+        clamp=np.where(free[CLAMP:TILT], rig.clamp, nominal.clamp),
+        tilt=np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
+        turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
+        sensor=np.where(free[SENSOR:PLACE], rig.sensor, nominal.sensor),
+        length=rig.length if free[LENGTH] else nominal.length,
+        shape=np.where(free[SHAPE:MIXING], rig.shape, nominal.shape),
     )
 
 

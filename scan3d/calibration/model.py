@@ -15,7 +15,7 @@ in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nomina
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import accumulate
 from typing import NamedTuple
@@ -88,7 +88,8 @@ class Rig:
 
     def moved(self, step: Array) -> Rig:
         """The rig after a step (p,) of its parameters; that of the sensor's turn is a rotation vector in the clamp's frame."""
-        return Rig(
+        return replace(
+            self,
             stiffness=float(self.stiffness + step[STIFFNESS]),
             clamp=self.clamp + step[CLAMP:TILT],
             tilt=self.tilt + step[TILT:TURN],
@@ -98,9 +99,7 @@ class Rig:
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
             mixing=self.mixing + step[MIXING:TARE].reshape(6, 6),
-            stated=self.stated,
             shape=self.shape + step[SHAPE:MIXING],
-            marched=self.marched,
         )
 
     def clamp_axes(self) -> tuple[Array, Array, Array]:
@@ -135,10 +134,6 @@ class Touches(NamedTuple):
     def moved(self, correction: Array) -> Touches:
         """The rows with corrections (n, 9) of what was measured."""
         return self._replace(wrench=self.wrench + correction[:, :6], position=self.position + correction[:, 6:])
-
-    def all(self, kind: Kind) -> Touches:
-        """The rows, all of one kind."""
-        return self._replace(kind=np.full(len(self.kind), kind, dtype=np.int8))
 
 
 class Bent(NamedTuple):

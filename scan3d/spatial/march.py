@@ -32,6 +32,8 @@ _SHOTS, _SETTLED = 40, 1e-13
 # Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
 _M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
 _CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+# The product of a quaternion with that of d1 = z, d2 = x, d3 = y, a turn by -120 degrees about (1, 1, 1).
+_CLAMPED = np.array([[1.0, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]]) / 2
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,9 @@ def contacts(
     Reactions of rods with weight are the whole ones.  `steps` along the rod are by default as many as places need to be
     right to 1e-10.  Raises ValueError for a weight without gravity.
     """
-    down = _checked_gravity(rod, gravity, force)
+    if rod.profile.weight and gravity is None:
+        raise ValueError("a rod with weight needs the direction of gravity in the clamp's frame")
+    down = np.broadcast_to(gravity if rod.profile.weight and gravity is not None else np.zeros((3, 1)), force.shape)
     contact_force = -force - rod.profile.weight * down
     start = _start(rod, contact_force, -moment, down)
 
@@ -111,38 +115,15 @@ def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
     return -rod.profile.weight * down, -moment
 
 
-def _checked_gravity(rod: SpatialRod, gravity: Array | None, force: Array) -> Array:
-    if rod.profile.weight == 0:
-        return np.zeros_like(force)
-    if gravity is None:
-        raise ValueError("a rod with weight needs the direction of gravity in the clamp's frame")
-    return np.broadcast_to(gravity, force.shape)
-
-
 def _start(rod: SpatialRod, contact_force: Array, moment: Array, down: Array) -> Array:
     """States (16, n) at the clamp."""
     turn = rod.compliance * moment
     angle = np.sqrt((turn * turn).sum(axis=0))
     half = np.sinc(angle / (2 * np.pi)) / 2 * turn
-    # d1 = z, d2 = x, d3 = y: a turn by -120 degrees about (1, 1, 1)
-    quaternion = _product(np.concatenate([np.cos(angle / 2)[None], half]), np.array([[0.5], [-0.5], [-0.5], [-0.5]]))
+    quaternion = _CLAMPED @ np.concatenate([np.cos(angle / 2)[None], half])
     inverse = quaternion * _CONJUGATE
     carried = (_rotated(inverse, vector) for vector in (moment, contact_force, down))
     return np.concatenate([*carried, quaternion, np.zeros_like(moment)])
-
-
-def _product(a: Array, b: Array) -> Array:
-    """Product of quaternions (4, n)."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
 
 
 def _rotated(quaternion: Array, vector: Array) -> Array:
