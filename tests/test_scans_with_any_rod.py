@@ -137,3 +137,44 @@ def test_scans_in_space_are_simulated_with_simple_rods_only():
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, weight_N=0.01)))
     with pytest.raises(InputError, match="out of its clamp's xy plane"):
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))))
+
+
+MAP = """
+[columns]
+sweep = "sweep"
+position = ["x", "y", "z"]
+orientation = {quaternion = ["qw", "qx", "qy", "qz"]}
+force = ["fx", "fy", "fz"]
+moment = ["mx", "my", "mz"]
+[units]
+length = "m"
+force = "N"
+moment = "N m"
+[tare]
+air = "%s"
+[rod]
+length_m = 0.06
+bending_stiffness_Nm2 = 1e-4
+weight_N = 1e-3
+[gravity]
+direction = [0, 0, -1]
+"""
+
+
+def test_maps_state_gravity(tmp_path):
+    from scan3d.laboratory.maps import read_map
+
+    path = tmp_path / "map.toml"
+    path.write_text(MAP % "none")
+    with pytest.raises(InputError, match="tared is missing"):  # nothing is taken off: only the laboratory knows
+        read_map(path)
+    for air, tared, result in (("none", "false", False), ("none", "true", True), ("auto", "false", True)):
+        path.write_text(MAP % air + f"tared = {tared}\n")
+        assert read_map(path).gravity == Gravity((0.0, 0.0, -1.0), tared=result)
+    path.write_text(MAP % "auto")
+    assert read_map(path).gravity.tared
+    # and recordings have it
+    rows = [f"0,{x},0,0,1,0,0,0,0,{-1e-3 if x else -2e-3},0,0,0,{1e-5 * x}" for x in (0.0, -1.0, -2.0)]
+    (tmp_path / "log.csv").write_text("sweep,x,y,z,qw,qx,qy,qz,fx,fy,fz,mx,my,mz\n" + "\n".join(rows) + "\n")
+    path.write_text(MAP % "none" + "tared = false\n")
+    assert scan3d.import_table(tmp_path / "log.csv", path).gravity == Gravity((0, 0, -1), tared=False)

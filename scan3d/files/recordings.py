@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scan3d.errors import InputError
 from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.binary_tables import parquet_bytes
-from scan3d.files.reading import Section, read_rod, read_section, rod_section
+from scan3d.files.reading import REQUIRED, Section, read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together
@@ -96,10 +96,11 @@ def recording_files(
     return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: table}
 
 
-def _gravity_of(section: Section) -> Gravity:
+def gravity_of(section: Section, tared: bool = REQUIRED) -> Gravity:
+    """The section ``[gravity]``; `tared` counts where it is not stated."""
     x, y, z = section.numbers("direction", 3)
     with section.errors_named():
-        return Gravity((x, y, z), section.boolean("tared"))
+        return Gravity((x, y, z), section.boolean("tared", tared))
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -126,7 +127,7 @@ def read_recording(path: str | Path) -> Recording:
     known: dict[str, Any] = {
         "rod": read_rod(meta.section("rod")),
         "rig": rig,
-        "gravity": _gravity_of(meta.section("gravity")) if "gravity" in meta else None,
+        "gravity": gravity_of(meta.section("gravity")) if "gravity" in meta else None,
         "unit": meta.word("unit", tuple(UNITS_M), "mm"),
         "table_m": meta.number(TABLE, None),
         "source": meta.notes("source"),

@@ -392,6 +392,7 @@ def _recording(
         table_m=map.table_m,
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
         rig=map.uncertainty,
+        gravity=map.gravity,
     )
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.files.reading import REQUIRED, Section, did_you_mean, is_finite, read_rod, read_section
-from scan3d.files.recordings import TABLE
+from scan3d.files.recordings import TABLE, gravity_of
 from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
 from scan3d.rigs import RigUncertainty
-from scan3d.rods import Rod
+from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, spelled
 
 Reference = str | int
@@ -88,6 +88,8 @@ class Map:
     """(6, k), or (3, k) for fx, fy and mz: what the k signals are multiplied by; empty without signals."""
     offset: tuple[float, ...] = ()
     """(k,) what the signals are without load."""
+    gravity: Gravity | None = None
+    """Tared wherever the import takes off what the sensor shows in the air."""
     reversed_sign: bool = False
     """Whether the sensor shows the action of the rod on the clamp."""
     wrench_in: str = "sensor"
@@ -151,7 +153,7 @@ def _map(top: Section) -> Map:
     clamp, sensor, filters = top.section("clamp"), top.section("sensor"), top.section("filter")
     wrench = ros if "ros" in top else columns
     sweeps, noise = top.section("sweeps"), top.section("noise")
-    read = _columns(columns)
+    read, air = _columns(columns), _air(top.section("tare"))
     matrix, offset = _transducer(sensor, read.signals)
     made = Map(
         columns=read,
@@ -164,7 +166,8 @@ def _map(top: Section) -> Map:
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
         wrench_in=wrench.word("wrench_in", WRENCH_IN),
         wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
-        air=_air(top.section("tare")),
+        air=air,
+        gravity=_gravity(top.section("gravity"), air != "none") if "gravity" in top else None,
         lowpass_hz=filters.number("lowpass_hz", None, above=0),
         rate_hz=filters.number("rate_hz", None, above=0),
         directions=sweeps.word("directions", DIRECTIONS),
@@ -331,6 +334,12 @@ def read_frame(section: Section) -> Frame:
     """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
     position = np.array(section.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
     return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
+
+
+def _gravity(section: Section, tares: bool) -> Gravity:
+    """Where gravity points; an import that `tares` takes off the weight, whatever the log was before."""
+    given = gravity_of(section, True if tares else REQUIRED)
+    return replace(given, tared=given.tared or tares)
 
 
 def _air(section: Section) -> str | tuple[tuple[float, float], ...]:
