@@ -118,9 +118,9 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
 def _below_facets(found: Room, cloud: Cloud) -> Room:
     """The room that facets leave, if most contacts lie on them.
 
-    Four of them that meet in the outer body, though three make a corner, meet in a vertex of the body.  Three meet in a vertex
-    of a polyhedron nine times out of ten; a facet that is not known may cut off the corner instead.  No slice has met such a
-    facet if all contacts lie on known ones: then it is small, and the body reaches to all corners.
+    Four of them that meet in the outer body, though three make a corner, meet in a vertex of the body.  Another corner may be
+    cut off by a facet that is not known.  No slice has met such a facet if all contacts lie on known ones: then it is small,
+    and the body reaches to all corners.
     """
     near, planes = NEGLIGIBLE * float(np.linalg.norm(np.ptp(found.points, axis=0))), facets(cloud)
 
@@ -144,8 +144,7 @@ def _below_facets(found: Room, cloud: Cloud) -> Room:
     points, open_ = np.concatenate([found.points, left[meeting > 3]]), (meeting > 0) & (meeting < 4)
     corners = np.concatenate([corners[inside], left[open_]])
     foot, local = nearest(corners, hull(points))[2], np.append(found.local[inside], np.full(open_.sum(), UNKNOWN))
-    others = np.nan if on_facets < _POLYHEDRON else UNKNOWN if on_facets < 1 else 1.0
-    of_open = np.where((meeting[open_] == 3) & (on_facets >= _POLYHEDRON), 1.0, others)
+    of_open = np.full(open_.sum(), np.nan if on_facets < _POLYHEDRON else UNKNOWN if on_facets < 1 else 1.0)
     fixed, count = np.append(found.fixed[inside], of_open), len(planes) if on_facets >= _POLYHEDRON else 0
     return Room(points, foot, corners - foot, local, fixed, contours[remain], count)
 
