@@ -154,15 +154,13 @@ def slabs(
     known = {} if known is None else known
     keys = slab_keys(stack)
     sides = cache(lambda _, side, i: by_secants(stack, i, side, margin))
-    arrangement = _Arrangement([stack], sides, stack.height_error, _ANCHORS if _uncertain(stack) else 1)
+    arrangement = _Arrangement(
+        [stack], sides, stack.height_error, _ANCHORS if stack.confident or stack.height_error else 1
+    )
     for i, key in enumerate(keys):
         if key not in known:
             known[key] = _slab(stack, arrangement, i, volumes=volumes)
     return [known[key] for key in keys]
-
-
-def _uncertain(stack: SliceStack) -> bool:
-    return bool(stack.confident or stack.height_error)
 
 
 def slab_keys(stack: SliceStack) -> list[SlabKey]:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest
-from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners, bounding_nothing
+from scan3d.bounds.enclosures import Enclosure, SlabCorners, bounding_nothing
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest
@@ -103,7 +103,10 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
     else:
         depths = np.full(len(vertices), np.inf)
     if bounds.directions is not None and bounds.directions.open.any():
-        depths[faces[_are_open(bounds.directions, normals)]] = np.inf
+        apexes, is_open = bounds.directions
+        blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // AT_ONCE)
+        lowest = np.concatenate([(block @ apexes.T).argmax(axis=1) for block in blocks])
+        depths[faces[is_open[lowest]]] = np.inf
     return np.maximum(depths + bounds.reach, 0.0)
 
 
@@ -111,13 +114,6 @@ def _extreme(points: Array) -> Array:
     """Those of the points (n, 3) that are vertices of their hull; all where Qhull finds none."""
     found = hull_about_mean(points)
     return points if found is None else points[found.vertices]
-
-
-def _are_open(directions: Directions, normals: Array) -> Index:
-    """Numbers of the normals (n, 3) in whose directions nothing bounds the body."""
-    apexes, is_open = directions
-    blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // AT_ONCE)
-    return np.flatnonzero(is_open[np.concatenate([(block @ apexes.T).argmax(axis=1) for block in blocks])])
 
 
 def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: Array) -> Array:

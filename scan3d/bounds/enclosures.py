@@ -403,13 +403,8 @@ def _excess(cloud: Cloud, allow: Allowed, by_axis: list[SliceStack]) -> float:
 
 def _proven_hull(by_axis: list[SliceStack]) -> Any:
     """The hull of all points that lie in the body with the stacks' confidence; None if they span no body."""
-    points = [
-        np.column_stack([slice_.points, np.full(len(slice_.points), slice_.height)]) @ stack.frame
-        for stack in by_axis
-        for slice_ in stack.slices
-    ]
     with suppress(InputError):
-        return hull(np.concatenate(points)) if points else None
+        return hull(np.concatenate([np.empty((0, 3)), *(s.contour(i) for s in by_axis for i in range(len(s.slices)))]))
     return None
 
 

@@ -85,16 +85,8 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     """A mesh moved by ``-centre`` and divided by `scale`, its distance from its hull, and the search for its nearest faces."""
     facets = prepare_facets(mesh, centre, scale)
     planes, slack = against_hull(facets)
-    return Body(
-        vertices=facets.vertices,
-        faces=facets.faces,
-        corners=facets.corners,
-        normals=facets.normals,
-        volume=facets.volume,
-        planes=planes,
-        slack=slack,
-        search=Search(facets.corners),
-    )
+    vertices, faces, corners, normals, _, volume, _ = facets
+    return Body(vertices, faces, corners, normals, volume, planes, slack, Search(corners))
 
 
 def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> list[Side]:

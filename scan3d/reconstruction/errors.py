@@ -118,7 +118,7 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     assert recording.rig is not None
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
-    wrench, noise = _wrench(recording, rows), _weights(recording, model)
+    (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
     errors = [(component, np.zeros(6)) for component in recording.rig.components().T]
     size = np.zeros((len(rows), 1))
     if relative := recording.rig.relative:
@@ -126,8 +126,14 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
         errors += [(np.zeros(len(RIG_QUANTITIES)), relative * np.eye(6)[k]) for k in _REACTIONS[model]]
     for component, of_wrench in errors:
         sides = (
-            _contacts(recording, rows, _added(wrench, sign * _STEP * size * of_wrench), noise, sign * _STEP * component)
-            for sign in (1.0, -1.0)
+            _contacts(
+                recording,
+                rows,
+                (force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]),
+                noise,
+                step * component,
+            )
+            for step in (_STEP, -_STEP)
         )
         with np.errstate(invalid="ignore"):
             for column, one, other in zip(moved, *sides, strict=True):
@@ -146,11 +152,6 @@ def _size(recording: Recording, rows: Index) -> Array:
     size = np.linalg.norm(np.hstack([force, moment]), axis=1)
     pressed = felt(force, recording.noise.of_reactions(recording.rod))
     return np.asarray(np.maximum(size[rows], np.median(size[pressed]) if pressed.any() else 0.0))
-
-
-def _added(wrench: tuple[Array, Array], error: Array) -> tuple[Array, Array]:
-    force, moment = wrench
-    return force + error[:, :3], moment + error[:, 3:]
 
 
 def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:

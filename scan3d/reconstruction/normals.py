@@ -188,16 +188,13 @@ def _slope_at(z: Array, h: Array, centers: Array, k: int, normals: Array) -> Arr
     below = (h[k] - h[k - 1]) / (z[k] - z[k - 1]) if k else np.full(h.shape[1], np.inf)
     above = (h[k + 1] - h[k]) / (z[k + 1] - z[k]) if k + 1 < len(z) else np.full(h.shape[1], -np.inf)
     relative = h - centers @ normals.T
-    slopes = _spline(z, np.hstack([centers, relative**2]))(z[k], 1)
+    ends = "not-a-knot" if len(z) > 3 else "natural"
+    slopes = CubicSpline(z, np.hstack([centers, relative**2]), bc_type=ends)(z[k], 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = normals @ slopes[:2] + slopes[2:] / (2 * relative[k])
     slope = np.where(np.isfinite(slope), slope, np.where(np.isfinite(above), above, below))
     slope = np.clip(slope, np.minimum(above, below), np.maximum(above, below))
     return slope
-
-
-def _spline(z: Array, values: Array) -> CubicSpline:
-    return CubicSpline(z, values, bc_type="not-a-knot" if len(z) > 3 else "natural")
 
 
 class HullNormals(NamedTuple):

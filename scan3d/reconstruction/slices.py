@@ -65,10 +65,6 @@ class Planes(NamedTuple):
     tilt: Tilt | None
     """How far the rows' planes are tilted against their slices, in metres; None if it is by no more than the poses' digits."""
 
-    def tilt_in(self, unit_m: float) -> Tilt | None:
-        """The tilt in another unit of length."""
-        return None if self.tilt is None else self.tilt.scaled(1 / unit_m)
-
     def turned(self, contour_normals: Array, normals: Array, rows: Index) -> Array:
         """Normals (k, 3) of contours in the planes of some rows, turned about the contours' tangents into the slices' planes.
 
@@ -400,7 +396,7 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
     left = ends[np.searchsorted(member[ends], np.arange(count))]
     right = ends[np.searchsorted(member[ends], np.arange(count), side="right") - 1]
     slope = np.stack([along[left], along[right]])
-    corner = np.stack([contact[left], contact[right]], axis=1)
+    corner, hull = np.stack([contact[left], contact[right]], axis=1), hull_about_mean(points)
     return Slice(
         height=float(cloud.slice_height[number]),
         rows=rows,
@@ -409,17 +405,12 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
         normals=normals,
         tip=tip,
         tip_normals=tip_normals,
-        outline=_outline(points),
+        outline=np.empty((0, 2)) if hull is None else np.asarray(points[hull.vertices]),
         angle=angle,
         value=value,
         slope=slope,
         corner=corner,
     )
-
-
-def _outline(points: Array) -> Array:
-    hull = hull_about_mean(points)
-    return np.empty((0, 2)) if hull is None else np.asarray(points[hull.vertices])
 
 
 def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: float) -> Mask:

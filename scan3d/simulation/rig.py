@@ -150,8 +150,12 @@ def simulate_rig(
     if model == "planar" and nominal.tapered:  # as in scans of meshes
         nominal = nominal.without_thickness()
     check_positions("poses", poses.position_m, nominal.length_m)
-    real = _true_rod(nominal, faults)
-    rows = _as_planned(poses) if faults is None else _at_rate(poses, faults)
+    real = nominal  # the rod that is in the clamp
+    if faults is not None:
+        length = nominal.length_m * (1 + faults.length_error)
+        stiffness = nominal.bending_stiffness_Nm2 * (1 + faults.stiffness_error)
+        real = Rod(length, stiffness, nominal.diameter_m)
+    rows = _rows_of(poses, faults)
     metres = UNITS_M[unit]
     length, radius = real.length_m / metres, real.diameter_m / metres / 2
     tracks, members = _tracks(rows, friction, seed, metres)
@@ -171,25 +175,11 @@ def simulate_rig(
     return log if faults is None else _with_faults(log, faults)
 
 
-def _true_rod(nominal: Rod, faults: Faults | None) -> Rod:
-    """The rod that is in the clamp."""
+def _rows_of(poses: PoseList, faults: Faults | None) -> _Rows:
+    """One row for each pose, or rows at the rate of faults, on straight lines and in steady turns between the poses."""
     if faults is None:
-        return nominal
-    return Rod(
-        nominal.length_m * (1 + faults.length_error),
-        nominal.bending_stiffness_Nm2 * (1 + faults.stiffness_error),
-        nominal.diameter_m,
-    )
-
-
-def _as_planned(poses: PoseList) -> _Rows:
-    """One row for each pose."""
-    check_memory(_MEMORY_PER_ROW * len(poses), f"a log of {len(poses)} rows", "plan fewer sweeps or samples")
-    return _Rows(poses.times(), poses.sweep, poses.move, poses.position_m, poses.quaternion)
-
-
-def _at_rate(poses: PoseList, faults: Faults) -> _Rows:
-    """Rows at the rate of the faults, on straight lines and in steady turns between the poses."""
+        check_memory(_MEMORY_PER_ROW * len(poses), f"a log of {len(poses)} rows", "plan fewer sweeps or samples")
+        return _Rows(poses.times(), poses.sweep, poses.move, poses.position_m, poses.quaternion)
     if faults.speed_mm_s is not None:
         poses = replace(poses, speed_m_s=faults.speed_mm_s / 1000)
     times = poses.times()
