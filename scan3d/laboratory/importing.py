@@ -167,10 +167,15 @@ def convert(table: Table, map: Map) -> Imported:
     except InputError as error:
         for note in _other_frame(None, table, map):
             raise InputError(f"{error}; or {note}") from None
-        if words := next((words for words, other in _other_readings(map) if _converts(table, other)), ""):
+        if words := _better_reading(table, map, 0.5):
             raise InputError(f"{error}; all would be right if {words}") from None
         raise
     notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
+    held = _held(imported)
+    # retracts and strokes back hold contacts as well, but not most of them
+    if held < 0.7 and (words := _better_reading(table, map, _NEARLY_ALL)):
+        doubt = f"only {share(held)} of the rows in contact lie in sweeps along -x of the clamp's frame"
+        notes = (f"{doubt}, and nearly all do if {words}: check [columns] orientation of {map.name}", *notes)
     return replace(imported, summary=replace(imported.summary, notes=notes))
 
 
@@ -478,12 +483,19 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
     )
 
 
-def _converts(table: Table, map: Map) -> bool:
-    try:
-        _converted(table, map)
-    except InputError:
-        return False
-    return True
+def _held(imported: Imported) -> float:
+    """The part of the rows in contact that lie in sweeps."""
+    touched = felt(imported.wrench[:, :3], imported.summary.noise_force_N, 0.05)
+    return float((imported.sweep >= 0)[touched].mean()) if touched.any() else 1.0
+
+
+def _better_reading(table: Table, map: Map, least: float) -> str:
+    """Words for another reading of the orientation with which sweeps hold at least this part of the contacts, or ""."""
+    for words, other in _other_readings(map):
+        with contextlib.suppress(InputError):
+            if _held(_converted(table, other)) >= least:
+                return words
+    return ""
 
 
 def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
