@@ -50,7 +50,7 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
         )
         assert found[name]["coverage_probability"] == (0.95 if noise else 1.0)
         if np.isfinite(high) and name != "distance of the surface from the body":
-            assert high - low < (0.35 if model == "spatial" else 0.3) * value  # the intervals say something
+            assert high - low < 0.3 * value  # the intervals say something
     assert found["volume"]["unit"] == "mm³"
     factor = found["volume"]["coverage_factor"]
     assert factor == (sigmas(len(analysis.cloud)) if noise else None)

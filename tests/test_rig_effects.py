@@ -168,6 +168,7 @@ def test_the_spatial_bound_allows_for_the_calibration(space):
     assert enclosure(without(cloud)).confidence == 1
     assert bounds.confidence == smaller.confidence == 0.95
     factor = cloud.calibration.factor(0.05)
+    assert bounds.margin > 0.3 * factor * cloud.calibration.place_sd.max()
     assert bounds.bound > smaller.bound + 0.3 * factor * cloud.calibration.place_sd.max()
     hull = scan3d.surface(cloud, "hull")
     assert certificate(bounds, hull).bound > certificate(smaller, hull).bound

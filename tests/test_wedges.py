@@ -42,9 +42,7 @@ def entered(body, cloud, kappa):
     """How many wedges the fattened body reaches into, and of how many."""
     places = Places(cloud.centre_points, np.zeros(len(cloud)), kappa**2 * cloud.centre_covariance)
     centre = cloud.centre_points.mean(axis=0)
-    normals, values = wedges._wedges(
-        cloud, places, kappa * cloud.tangent_sd, wedges.proven_body(cloud, places, kappa), centre
-    )
+    normals, values = wedges._wedges(cloud, places, kappa * cloud.tangent_sd, centre)
     found = [
         not misses(body, cloud.rod_radius, n, v + n @ centre) for n, v in zip(normals[1:], values[1:], strict=True)
     ]

@@ -152,13 +152,7 @@ def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:
     rows = tangential(cloud)
     # the map stretches errors by no more than its largest factor
     places = Places(points, errors * float(np.linalg.norm(to_frame, 2)))
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        hull = ConvexHull(points, qhull_options="QJ")  # moved by rounding where very many lie in one plane
-    vertices, edges = edges_of(hull)
-    arcs = arcs_at(places.select(rows), tangents[rows], np.zeros(len(rows)), places.select(vertices), edges)
-    arcs = arcs.moved(places.errors[rows])
+    arcs = arcs_of_contacts(places, tangents, rows, np.zeros(len(rows))).moved(places.errors[rows])
     if cloud.table is not None:
         arcs = arcs.joined(_table_plane(cloud.table - cloud.rod_radius, centre, shape))
     return Tangents(arcs, rows, centre, shape)
@@ -177,6 +171,16 @@ def frame_of(points: Array) -> tuple[Array, Array]:
     except QhullError:
         hulls.hull(points)  # raises InputError, which says why
         raise
+
+
+def arcs_of_contacts(places: Places, tangents: Array, rows: Index, turns: Array) -> Arcs:
+    """The arcs (k,) of some of the contacts, with errors (k,) of their tangents (n, 3), by all of them."""
+    try:
+        hull = ConvexHull(places.points)
+    except QhullError:
+        hull = ConvexHull(places.points, qhull_options="QJ")  # moved by rounding where very many lie in one plane
+    vertices, edges = edges_of(hull)
+    return arcs_at(places.select(rows), tangents[rows], turns, places.select(vertices), edges)
 
 
 def _table_plane(height: float, centre: Array, shape: Array) -> Arcs:

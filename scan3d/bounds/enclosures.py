@@ -20,9 +20,9 @@ convex bodies is the largest difference of their support functions, and ``h_K = 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
-have errors, a polyhedron that they prove to lie in K stands for H, and each of them leaves out a wedge, whose errors are those
-across the rod (`scan3d.bounds.wedges`).  A table below the body, if it is known, is one more supporting plane of K, moved
-outwards by the rod's radius.
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.wedges`), whose errors are those across the rod, and H may
+stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it is
+known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -40,19 +40,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import ROUNDING, Array, Index, Mask, highest, unit
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
-from scan3d.bounds.wedges import outer_body, proven_body, unexplained
+from scan3d.bounds.wedges import outer_body
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
+from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
 
@@ -69,6 +70,9 @@ _TIGHTER = 0.95
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
+# Quantiles of the contacts' errors; contacts anywhere with a larger one are left out of the inner body, and the best bound is
+# taken.
+_QUANTILES = (1.0, 0.85, 0.7, 0.5)
 # Distance, in sizes of the contacts, of what stands for the body where nothing bounds it.
 _FAR = 1e3
 # Largest angles, in radians, of the normals from the middles of their arcs, of the contacts in each inner body by arcs.
@@ -494,7 +498,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
         if cloud.place_sd is None:
             return _by_apexes(cloud, errors, 1.0)
-        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 0.0, 1.0)
+        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 1.0)
     allow = allowed(cloud, confidence)
     places, turns = _certain(cloud, errors + allow.place), np.zeros(len(cloud))
     if cloud.place_sd is not None:
@@ -506,7 +510,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
         turns = _TURN * places.largest() / cloud.rod_length
         if cloud.tangent_sd is not None:
             turns = EXACT + allow.kappa * cloud.tangent_sd
-    return _by_wedges(cloud, places, turns + allow.turn, allow.kappa or 0.0, allow.confidence)
+    return _by_wedges(cloud, places, turns + allow.turn, allow.confidence)
 
 
 def _certain(cloud: Cloud, errors: Array) -> Places:
@@ -533,19 +537,20 @@ def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
     return _anywhere(cloud, (inner, bodies, margin), (corners, gap, directions), confidence)
 
 
-def _by_wedges(cloud: Cloud, places: Places, turns: Array, kappa: float, confidence: float) -> Enclosure:
+def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
     """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
-    off = unexplained(cloud, places, kappa)
-    places, turns = places._replace(errors=places.errors + off), turns + off / cloud.rod_length
-    proven = proven_body(cloud, places, kappa)
-    excess = 0.0 if proven is not None else float(places.largest().max())
-    bodies = ((hull(places.points) if proven is None else proven, cloud.rod_radius + excess),)
-    margin = max(off, excess)
-    inner = _inner_body(cloud, bodies[0][0])
-    if proven is None:
-        corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
-        return _anywhere(cloud, (inner, bodies, margin), (corners, np.empty(0), directions), confidence)
-    found = outer_body(cloud, places, turns, proven, inner)
+    candidates = []
+    largest = places.largest()
+    for quantile in _QUANTILES:
+        kept = largest <= np.quantile(largest, quantile)
+        with suppress(InputError):
+            some = cloud.select(kept)
+            centre_hull = hull(places.points[kept])
+            margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
+            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
+    if not candidates:
+        hull(places.points)  # raises InputError, which says why
+    found = outer_body(cloud, places, turns, candidates[0][0])
     is_open = np.isinf(found.gap)
     corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
     far = _FAR * float(np.linalg.norm(np.ptp(places.points, axis=0)))
@@ -554,9 +559,12 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, kappa: float, confide
         found.centre + far * unit(found.directions),
         np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
     )
-    gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
-    part = (inner, bodies, margin), (corners, gap, Directions(apexes, is_open))
-    return _anywhere(cloud, *part, confidence)
+    bounds = []
+    for inner, bodies, margin in candidates:
+        gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
+        part = (inner, bodies, margin), (corners, gap, Directions(apexes, is_open))
+        bounds.append(_anywhere(cloud, *part, confidence))
+    return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
 
 
 def _anywhere(
@@ -583,6 +591,25 @@ def _anywhere(
         inner_bodies=bodies,
         directions=directions,
     )
+
+
+def _error_of_hull(body: Any, places: Places) -> float:
+    """How far a hull of some places may stick out of a convex body that contains the true ones.
+
+    The hull's support function is that of a vertex in the directions between the normals of the vertex' facets, in which the
+    errors of its place, which are a norm, are at most the largest along these normals, over the cosine of their spread.
+    """
+    faces, normals = body.faces.ravel(), np.repeat(body.face_normals, 3, axis=0)
+    apart, rows = cKDTree(places.points).query(body.vertices)
+    own = places.select(rows)
+    middle = np.zeros((len(rows), 3))
+    np.add.at(middle, faces, normals)
+    cosine, along = np.ones(len(rows)), np.zeros(len(rows))
+    np.minimum.at(cosine, faces, dot(normals, unit(middle)[faces]))
+    np.maximum.at(along, faces, own.select(faces).along(normals[:, None])[:, 0])
+    with np.errstate(divide="ignore"):
+        by_normals = np.where(cosine > 0, along / cosine, np.inf)
+    return float((np.minimum(by_normals, own.largest()) + apart).max())
 
 
 def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:

@@ -169,7 +169,7 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
     )
 
 
-def second_order(covariance: Array, length: float) -> Array:
+def _bias(covariance: Array, length: float) -> Array:
     """(n,) allowance for the second order of a contact's errors, which averages do not reduce."""
     spread: Array = np.trace(covariance, axis1=1, axis2=2) * 2 / length
     return spread
@@ -195,7 +195,7 @@ def _inner_polygon(
     covariance, rig = covariances
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
-    bias = second_order(covariance, length)
+    bias = _bias(covariance, length)
     single = evenly(np.arange(len(points)), _SINGLE)
     place = np.concatenate([points[single], averages.mean(points)])
     spread = np.concatenate([covariance[single], averages.variance(covariance)])
@@ -276,7 +276,7 @@ class _Lines:
         self.tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
         self.offset = (normals * points).sum(axis=1)
         self.across, self.along = (np.sqrt(_quadratic(u, covariance)) for u in (normals, self.tangents))
-        self.bias = second_order(covariance, length)
+        self.bias = _bias(covariance, length)
         self.rig_across, self.rig_tilt = rig_across, rig_tilt
 
     def moved(self, corners: Array, rows: Index, kappa: float) -> Array:

@@ -1,10 +1,9 @@
-"""What contacts anywhere prove and leave of a convex body where their errors are not negligible.
+"""What contacts anywhere leave of a convex body where their errors are not negligible.
 
-A contact's supporting plane has one of the normals of its arc (S27), by a polyhedron that lies in the body.  The body K does
-not reach into the wedge of all points that lie beyond the plane whichever normal that is: of the points with
-``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of the arc, with the error e of the place and ε
-of the tangent t.  For the normals between the ends this follows, since e is a norm, and so does it for the true normal when it
-is turned until it is perpendicular to the measured t.
+A contact's supporting plane has one of the normals of its arc (S27).  The body K does not reach into the wedge of all points
+that lie beyond the plane whichever normal that is: of the points with ``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the
+normals n at both ends of the arc, with the error e of the place and ε of the tangent t.  For the normals between the ends this
+follows, since e is a norm, and so does it for the true normal when it is turned until it is perpendicular to the measured t.
 
 A wedge is a convex set, and if it contains x and not the centre o, it contains all points beyond x, as seen from o.  Where it
 contains the corners of a triangle, K therefore does not reach beyond the triangle in the directions of its points from o: there
@@ -20,26 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly, highest, unit
-from scan3d.bounds.constraints import frame_of, tangential
-from scan3d.bounds.noise import averages_of, second_order
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly
+from scan3d.bounds.constraints import arcs_of_contacts, frame_of, tangential
 from scan3d.cloud import Cloud
-from scan3d.geometry.arcs import Places, arcs_at
+from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.hulls import hull
-from scan3d.geometry.polytopes import half_space_intersection
-from scan3d.geometry.triangles import dot
 
 # Wedges that are used at most: of more contacts neighbours say nearly the same.
 _MOST = 4000
 # Subdivisions of the icosahedron with whose faces the triangles begin, and rounds in which they are divided into four.
 _BEGIN, _ROUNDS = 3, 6
-# Subdivisions of the icosahedron in whose directions the points of the proven body are chosen, and the body bounded.
-_PROVEN = 3, 5
-# Part of the errors of a contact, and of what others prove, that count where both are compared, since both are seldom so large.
-_LIKELY = 0.5
-# Contacts that are compared at most, and angles of the normal about the rod at which they are.
-_TESTED, _TURNED, _ANGLES = 400, 1.2, 49
 # Part by which the bound may exceed what the wedges leave at the triangles' corners.
 _CLOSE = 0.03
 
@@ -57,92 +46,15 @@ class Outer(NamedTuple):
     """(3,)"""
 
 
-def proven_body(cloud: Cloud, places: Places, kappa: float) -> Any:
-    """A polyhedron inside the convex body of the centre points, as a `trimesh.Trimesh`; None if these prove no point of it.
-
-    In a direction u every centre point, and every mean of some, proves the body to reach as far as ``<u, p> - e(u)``, a concave
-    function of u.  A polyhedron that reaches no farther than one of them in three directions does not in those between either,
-    and lies in the body if this holds in all triangles of a sphere.
-    """
-    centre, shape = frame_of(places.points)
-    points = Places(places.points - centre, places.errors, places.spread)
-    if places.spread is not None:
-        points = points._replace(errors=points.errors + second_order(places.spread, cloud.rod_length) / kappa**2)
-        if cloud.independent:
-            points = _with_means(cloud, points, kappa)
-    (coarse, _), (fine, triangles) = (_sphere(subdivisions) for subdivisions in _PROVEN)
-    coarse, fine = (unit(u @ np.linalg.inv(shape)) for u in (coarse, fine))
-    blocks = np.array_split(np.arange(len(points.points)), 1 + len(points.points) * len(coarse) // AT_ONCE)
-    chosen = [rows[np.unique(_reach(coarse, points.select(rows)).argmax(axis=1))] for rows in blocks]
-    points = points.select(np.concatenate(chosen))
-    reach = _reach(fine, points)
-    value = np.full(len(fine), np.inf)
-    np.minimum.at(value, triangles.ravel(), reach[triangles, _best(-reach, triangles)[:, None]].ravel())
-    if value.min() <= 0:
-        return None
-    return hull(centre + half_space_intersection(np.column_stack([fine, -value]), np.zeros(3)).intersections)
-
-
-def unexplained(cloud: Cloud, places: Places, kappa: float) -> float:
-    """How much farther contacts may be from their places than noise explains, because rods pass through what others prove.
-
-    Errors that noise does not explain, of the rod, the clamp or the sensor, show where they differ from sweep to sweep.  What
-    all sweeps have in common shows nowhere, and twice of what shows is allowed for.
-    """
-    if places.spread is None or not kappa:
-        return 0.0
-    likely = places._replace(spread=_LIKELY**2 * places.spread)
-    proven, rows = proven_body(cloud, likely, _LIKELY * kappa), evenly(tangential(cloud), _TESTED)
-    if proven is None or not len(rows):
-        return 0.0
-    assert cloud.tangents is not None
-    tangents, points = cloud.tangents[rows], places.points[rows]
-    outward = points - places.points.mean(axis=0)
-    outward = unit(outward - dot(outward, tangents)[:, None] * tangents)
-    angles = np.linspace(-_TURNED, _TURNED, _ANGLES)[:, None]
-    normals = np.cos(angles) * outward[:, None] + np.sin(angles) * np.cross(tangents, outward)[:, None]
-    reach = highest(proven.vertices.view(np.ndarray), normals.reshape(-1, 3)).reshape(normals.shape[:2])
-    depth = reach - (normals * points[:, None]).sum(axis=2)
-    shown = bool(((depth - likely.select(rows).along(normals)).min(axis=1) > 0).any())
-    return 2 * float(depth.min(axis=1).max()) if shown else 0.0
-
-
-def _with_means(cloud: Cloud, points: Places, kappa: float) -> Places:
-    """The points, and means over successive rows of the cloud, whose errors are independent."""
-    order = np.lexsort((cloud.row, cloud.sweep))
-    place, errors, spread = points.select(order)
-    assert spread is not None
-    middle = np.asarray(np.linalg.eigvalsh(spread)[:, 1], dtype=float)
-    means = averages_of(place, cloud.sweep[order], middle, kappa)
-    wider = (means.kappa / kappa)[:, None, None] ** 2
-    return Places(
-        np.concatenate([place, means.mean(place)]),
-        np.concatenate([errors, means.mean(errors)]),
-        np.concatenate([spread, wider * means.variance(spread)]),
-    )
-
-
-def _reach(directions: Array, points: Places) -> Array:
-    """(d, n) how far points (n,) reach at least in unit vectors (d, 3)."""
-    reach: Array = directions @ points.points.T - points.errors
-    if points.spread is not None:
-        i, j = np.triu_indices(3)
-        squares = (directions[:, i] * directions[:, j] * np.where(i == j, 1, 2)) @ points.spread[:, i, j].T
-        reach -= np.sqrt(np.maximum(squares, 0.0))
-    return reach
-
-
-def outer_body(cloud: Cloud, places: Places, turns: Array, proven: Any, inner: Any) -> Outer:
+def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
     """The outer body by contacts with uncertain centre points, and errors (n,) of their tangents in radians.
 
-    proven
-        as `proven_body`.
     inner
         a convex `trimesh.Trimesh`, from which distances are measured.
     """
     centre, shape = frame_of(places.points)
-    normals, values = _wedges(cloud, places, turns, proven, centre)
-    directions, triangles = _sphere(_BEGIN)
+    normals, values = _wedges(cloud, places, turns, centre)
+    directions, triangles = _sphere()
     directions = directions @ shape
     distance = nearest_on(inner)
     planes = np.column_stack([inner.face_normals, (inner.face_normals * (inner.triangles[:, 0] - centre)).sum(axis=1)])
@@ -176,15 +88,14 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, proven: Any, inner: A
     return Outer(corners, gap, directions[triangles].mean(axis=1), centre)
 
 
-def _wedges(cloud: Cloud, places: Places, turns: Array, proven: Any, centre: Array) -> tuple[Array, Array]:
+def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[Array, Array]:
     """Planes that bound the wedges (k,): normals (k, 4, 3), and their values (k, 4) from the centre, all above 0.
 
     The first stands for none: no direction enters it.
     """
     assert cloud.tangents is not None
     rows = evenly(tangential(cloud), _MOST)
-    body = Places(proven.vertices.view(np.ndarray), np.zeros(len(proven.vertices)))
-    arcs = arcs_at(places.select(rows), cloud.tangents[rows], turns[rows], body, proven.edges_unique)
+    arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
     known = np.isfinite(arcs.half_width)
     own, ends = places.select(rows[known]), arcs.ends()[known]
     tangents, turn = cloud.tangents[rows[known], None], turns[rows[known], None]
@@ -198,9 +109,9 @@ def _wedges(cloud: Cloud, places: Places, turns: Array, proven: Any, centre: Arr
     return np.concatenate([np.zeros((1, 4, 3)), normals[outside]]), np.concatenate([np.ones((1, 4)), values[outside]])
 
 
-def _sphere(subdivisions: int) -> tuple[Array, Index]:
+def _sphere() -> tuple[Array, Index]:
     """Unit vectors (v, 3), and triangles (m, 3) of them over all directions."""
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    mesh = trimesh.creation.icosphere(subdivisions=_BEGIN)
     return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
 
 

@@ -99,7 +99,7 @@ def arcs_at(places: Places, tangents: Array, turns: Array, body: Places, edges: 
     turns
         (n,) largest errors of the tangents, in radians.
     body
-        (h,) points of the body, the vertices of a convex polyhedron, whose errors are alike in all directions.
+        (h,) points of the body, the vertices of a convex polyhedron.
     edges
         (m, 2) the polyhedron's edges, by numbers of its vertices.
     """
@@ -147,8 +147,8 @@ class _Sight:
                 np.linalg.norm(offset, axis=2) + self._farthest[0] + self._farthest[1][numbers]
             )
         turned: Array | float = 0.0
-        if self._places.spread is not None:
-            across, along = self._spread(x, y, distance)
+        if self._body.spread is not None:
+            across, along = self._spread(numbers, x, y, distance)
             turned, distance = np.arctan2(across, distance - along), np.hypot(across, np.maximum(distance - along, 0.0))
             turned = np.where(turned < np.pi / 2, turned, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -156,16 +156,22 @@ class _Sight:
         # a point that is no farther away than the errors says nothing
         return np.arctan2(y, x), np.where(ratio < 1, np.arcsin(ratio), np.inf) + turned
 
-    def _spread(self, x: Array, y: Array, distance: Array) -> tuple[Array, Array]:
-        """Errors (b, k) by the ellipsoids of the places, across the way to the points, as it is seen, and along it."""
+    def _spread(self, numbers: Index, x: Array, y: Array, distance: Array) -> tuple[Array, Array]:
+        """Errors (b, k) by the ellipsoids of both points, across the way between them, as it is seen, and along it."""
         assert self._places.spread is not None
-        frame = np.stack([self._outward, self._across], axis=1)
-        (xx, xy), (_, yy) = np.einsum("bix,bxy,bjy->ijb", frame, self._places.spread, frame)[..., None]
+        assert self._body.spread is not None
+        spread, frame = self._body.spread[numbers], (self._outward, self._across)
         with np.errstate(divide="ignore", invalid="ignore"):
             cos, sin = x / distance, y / distance
-        squares = sin**2 * xx - 2 * sin * cos * xy + cos**2 * yy, cos**2 * xx + 2 * sin * cos * xy + sin**2 * yy
-        across, along = (np.sqrt(np.maximum(square, 0.0)) for square in squares)
-        return across, along
+        found = []
+        for a, b in ((-sin, cos), (cos, sin)):
+            u = a[..., None] * frame[0][:, None] + b[..., None] * frame[1][:, None]
+            squares = (
+                np.einsum("bki,bij,bkj->bk", u, self._places.spread, u),
+                np.einsum("bki,bkij,bkj->bk", u, spread, u),
+            )
+            found.append(sum(np.sqrt(np.maximum(square, 0.0)) for square in squares))
+        return found[0], found[1]
 
     def lowest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)

@@ -288,7 +288,10 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     if known.error is not None and cloud.place_sd is not None:
         place, turn = sigmas * cloud.place_sd, sigmas * known.error.tangent[rows]
     lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), COMPARED)
-    return found + _not_convex(cloud, (place, turn), lines)
+    # what depths show beyond that is allowed for in the bounds, but is no excuse
+    by_poses = recording.noise.place_m * cloud.rod_length / recording.rod.length_m
+    found += _not_convex(replace(cloud, pose_error=by_poses), (place, turn), lines)
+    return found
 
 
 def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list[Contradiction]:

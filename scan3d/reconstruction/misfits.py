@@ -110,6 +110,7 @@ def depths_in_hull(
     tangents: Array,
     errors: tuple[Array, Array],
     length: float,
+    covariance: Array | None = None,
 ) -> Misfit | None:
     """Depths (m + k,) of `some` contacts, and of the tangents at others, in the hull of contacts; None if that is no body.
 
@@ -119,13 +120,18 @@ def depths_in_hull(
         (n,) largest errors of the places and of the tangents, in radians.
     length
         the rod's, in the unit of the points.
+    covariance
+        (n, 3, 3) squares of further errors of the places, which most noise leaves along the rod, where they change no depth.
     """
     place, turn = errors
+    squares = np.zeros((len(points), 3, 3)) if covariance is None else covariance
+    largest = place + np.sqrt(np.trace(squares, axis1=1, axis2=2))
     hull = hull_about_mean(points[of_hull])
     if hull is None:
         return None
     centred, corners, outward = points - points[of_hull].mean(axis=0), of_hull[hull.simplices], hull.equations[:, :3]
-    reach = place[corners].max(axis=1)
+    across = np.sqrt(np.maximum(np.einsum("fi,fkij,fj->fk", outward, squares[corners], outward), 0.0))
+    reach, farthest = (place[corners] + across).max(axis=1), largest[corners].max(axis=1)
     parts = []
     for rows, is_line in ((some, False), (lines, True)):
         for part in np.array_split(rows, 1 + len(rows) * len(hull.equations) // AT_ONCE):
@@ -136,11 +142,13 @@ def depths_in_hull(
                 arm = _middle_of_lines(below, slope)
                 below -= arm[:, None] * slope
             facet = below.argmin(axis=1)
-            deep = below[np.arange(len(part)), facet]
-            parts.append(np.stack([deep, place[part] + reach[facet], turn[part] * np.abs(arm)]))
-    found, both, turned = np.concatenate(parts, axis=1)
+            n = outward[facet]
+            own = place[part] + np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", n, squares[part], n), 0.0))
+            deep, curved = below[np.arange(len(part)), facet], largest[part] + farthest[facet]
+            parts.append(np.stack([deep, own + reach[facet], turn[part] * np.abs(arm), curved]))
+    found, both, turned, curved = np.concatenate(parts, axis=1)
     # the last summand is of the second order
-    return Misfit(found, ROUNDING * length + both + turned + both**2 / length)
+    return Misfit(found, ROUNDING * length + both + turned + curved**2 / length)
 
 
 def _middle_of_lines(height: Array, slope: Array) -> Array:
