@@ -53,7 +53,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
-from scan3d.geometry.triangles import dot
+from scan3d.geometry.triangles import dot, face_normals
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
 
@@ -267,16 +267,18 @@ def _tightened(bounds: Enclosure, corners: Array, gap: Array, error: float, part
     bound = max(float(gap.max()) if len(gap) else np.inf, error)
     if bound >= part * bounds.bound:
         return bounds
-    within = float(bounds.inner.volume + _shell(bounds.inner, bound)) * (1 + ROUNDING)
+    within = float(bounds.inner.volume + shell(bounds.inner, bound)) * (1 + ROUNDING)
     volume = bounds.volume[0], max(min(bounds.volume[1], within), bounds.volume[0])
     other = Enclosure(inner=bounds.inner, corners=corners, gap=gap, bound=bound, margin=0.0, volume=volume)
     return replace(bounds, tighter=other, bound=bound, volume=volume)
 
 
-def _shell(body: Any, distance: float) -> float:
+def shell(body: Any, distance: float) -> float:
     """Volume of all that is nearer to a convex body than `distance` and outside of it, by Steiner's formula."""
     edges = np.linalg.norm(np.diff(body.vertices.view(np.ndarray)[body.face_adjacency_edges], axis=1)[:, 0], axis=1)
-    curvature = float((edges * body.face_adjacency_angles).sum()) / 2
+    first, second = face_normals(body)[body.face_adjacency].swapaxes(0, 1)
+    angles = np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), dot(first, second))
+    curvature = float((edges * angles).sum()) / 2
     return float(distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance)))
 
 
@@ -297,8 +299,8 @@ def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
     bound = max(float(gap.max(initial=0.0)), excess, bounds.margin)
     least = shrunk(inner, excess) if excess else inner
     low = 0.0 if least is None else float(least.volume) * (1 - ROUNDING)
-    shell = 4 / 3 * np.pi * radius**3 if least is None else _shell(least, radius) * (1 - ROUNDING)
-    high = bounds.volume[1] - shell
+    around = 4 / 3 * np.pi * radius**3 if least is None else shell(least, radius) * (1 - ROUNDING)
+    high = bounds.volume[1] - around
     if tighter is not None:
         bound, low, high = min(bound, tighter.bound), max(low, tighter.volume[0]), min(high, tighter.volume[1])
     return replace(
@@ -599,7 +601,7 @@ def _error_of_hull(body: Any, places: Places) -> float:
     The hull's support function is that of a vertex in the directions between the normals of the vertex' facets, in which the
     errors of its place, which are a norm, are at most the largest along these normals, over the cosine of their spread.
     """
-    faces, normals = body.faces.ravel(), np.repeat(body.face_normals, 3, axis=0)
+    faces, normals = body.faces.ravel(), np.repeat(face_normals(body), 3, axis=0)
     apart, rows = cKDTree(places.points).query(body.vertices)
     own = places.select(rows)
     middle = np.zeros((len(rows), 3))

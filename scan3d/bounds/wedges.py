@@ -24,6 +24,7 @@ from scan3d.bounds.constraints import arcs_of_contacts, frame_of, tangential
 from scan3d.cloud import Cloud
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest_on
+from scan3d.geometry.triangles import dot, face_normals
 
 # Wedges that are used at most: of more contacts neighbours say nearly the same.
 _MOST = 4000
@@ -57,7 +58,8 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
     directions, triangles = _sphere()
     directions = directions @ shape
     distance = nearest_on(inner)
-    planes = np.column_stack([inner.face_normals, (inner.face_normals * (inner.triangles[:, 0] - centre)).sum(axis=1)])
+    normals_of_inner = face_normals(inner)
+    planes = np.column_stack([normals_of_inner, dot(normals_of_inner, inner.triangles[:, 0] - centre)])
 
     def gaps(points: Array) -> Array:
         found = np.full(len(points), np.inf)

@@ -16,6 +16,7 @@ from scan3d.geometry.triangles import (
     distance_to,
     distinct_rows,
     dot,
+    face_normals,
     largest_of_three,
     longest_first,
     offset_from,
@@ -239,7 +240,7 @@ def segments_meet(body: Any, start: Array, along: Array, length: float, distance
 
     Faces that are moved outwards enclose, at edges, more than the points that are so near.
     """
-    normals, corner = np.asarray(body.face_normals), np.asarray(body.triangles)[:, 0]
+    normals, corner = face_normals(body), np.asarray(body.triangles)[:, 0]
     offset = (normals * corner).sum(axis=1) + distance - NEGLIGIBLE * length
     middle, reach = body.bounds.mean(axis=0), float(np.linalg.norm(body.extents)) / 2 + distance
     nearest = np.clip(((middle - start) * along).sum(axis=1), 0.0, length)

@@ -7,12 +7,14 @@ then counts as open.  So such vertices are merged before a surface is written, a
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, unit_or_zero
 
 # Points and triangles whose offsets are computed at once.
 _AT_ONCE = 8000
@@ -37,6 +39,11 @@ def spanned(corners: Array) -> Array:
     """Products (m, 3) of the first two edges of triangles (m, 3, 3), from their first corner: normals, twice the area long."""
     product: Array = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return product
+
+
+def face_normals(mesh: Any) -> Array:
+    """Unit normals (m, 3) of a mesh's faces, zero for those without area; trimesh takes all below an absolute area for such."""
+    return unit_or_zero(spanned(mesh.vertices.view(np.ndarray)[mesh.faces.view(np.ndarray)]))
 
 
 def largest_of_three(values: Array) -> Array:
