@@ -8,6 +8,7 @@ from scipy.optimize import nnls
 import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.geometry.hulls import hull
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.facets import completed, facets, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
@@ -108,3 +109,11 @@ def test_a_smooth_body_and_noisy_contacts_show_no_facets(scanned):
     noisy = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=8, sweeps=6, samples=48, noise=1e-4)))
     assert not len(facets(noisy))
     assert with_facet_normals(noisy) is noisy
+
+
+def test_past_the_end_slices_a_polyhedron_ends_half_way():
+    """No contact tells where a cube ends above its last slice, though all of them lie on known facets."""
+    mesh = trimesh.creation.box((40, 40, 40))
+    found = analyse(scan3d.simulate(mesh, scan3d.Plan(slices=12)), mesh)
+    assert found.comparison.hausdorff == pytest.approx(found.bounds.bound / 2, rel=1e-3)
+    assert found.certificate.bound == pytest.approx(found.bounds.bound / 2, rel=1e-3)

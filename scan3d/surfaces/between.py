@@ -111,16 +111,16 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     foot, number, stack = slabs.foot[open_], slabs.number[open_], slabs.stack
     away, fixed = bounds.corners[open_] - foot, np.where(np.isin(number, (0, len(stack.slices))), UNKNOWN, np.nan)
     return _below_facets(
-        Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack)), cloud
+        Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack)), cloud, stack
     )
 
 
-def _below_facets(found: Room, cloud: Cloud) -> Room:
+def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
     """The room that facets leave, if most contacts lie on them.
 
     Four of them that meet in the outer body, though three make a corner, meet in a vertex of the body.  Another corner may be
     cut off by a facet that is not known.  No slice has met such a facet if all contacts lie on known ones: then it is small,
-    and the body reaches to all corners.
+    and the body reaches to all corners, but past the end slices, where no contact tells of an end across them.
     """
     near, planes = NEGLIGIBLE * float(np.linalg.norm(np.ptp(found.points, axis=0))), facets(cloud)
 
@@ -145,6 +145,8 @@ def _below_facets(found: Room, cloud: Cloud) -> Room:
     corners = np.concatenate([corners[inside], left[open_]])
     foot, local = nearest(corners, hull(points))[2], np.append(found.local[inside], np.full(open_.sum(), UNKNOWN))
     of_open = np.full(open_.sum(), np.nan if on_facets < _POLYHEDRON else UNKNOWN if on_facets < 1 else 1.0)
+    along, heights = left[open_] @ stack.frame[2], stack.heights
+    of_open[((along < heights[0]) | (along > heights[-1])) & (meeting[open_] < 3)] = UNKNOWN
     fixed, count = np.append(found.fixed[inside], of_open), len(planes) if on_facets >= _POLYHEDRON else 0
     return Room(points, foot, corners - foot, local, fixed, contours[remain], count)
 
