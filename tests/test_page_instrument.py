@@ -441,6 +441,8 @@ def test_nothing_leaves_the_window(tab):
             size = dict(width=width, height=height, deviceScaleFactor=1, mobile=width < 500)
             tab.run("switchPlayer(true); reset()")
             tab("Emulation.setDeviceMetricsOverride", **size)
+            wait_for(tab, f"innerWidth === {width}")
+            tab.picture()  # the page hears of its new size before it draws a frame
             # a view that nobody has moved keeps the whole body beside panel and player
             x, y = np.reshape(tab.run("[...onScreen(data.layers[0].points)]"), (-1, 3)).T[:2]
             view = tab.run("measures()")
