@@ -40,6 +40,8 @@ _TESTED, _ZOOM, _ZOOMS = 129, 8, 6
 _SLIPS, _ROUNDING = 1e-9, 1e-10
 # Changes of the contacts at one base position.
 _CHANGES = 8
+# Sweeps that are stepped for each that waits for the tables.
+_TOGETHER = 4
 # Movement of the rod, in rod lengths, beyond three times that of the base, that is a jump.
 _JUMP = 0.03
 # Distance between the chain that came to rest and the rod, in rod lengths, at which they are the same equilibrium.
@@ -90,9 +92,10 @@ def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array])
         for (base, rows), angle in zip(dense, friction_angles, strict=True)
     ]
     sweeps = _Sweeps(outlines, [base for base, _ in dense], angles)
-    while sweeps.waits or sweeps.folded:
+    while sweeps.left():
         sweeps.leap()
-        while len(sweeps.going):
+        # steps of few sweeps take as long as those of many
+        while len(sweeps.going) > _TOGETHER * sweeps.left():
             sweeps.step()
     return [
         _followed(outlines, rods.rows(rows), status[rows])
@@ -187,7 +190,11 @@ class _Sweeps:
         for i in folded:
             self._let_go(i, _ACROSS)
         gone = [i for i in folded if self.sample[i] < len(self.bases[i]) and i not in self.waits]
-        self.going = np.union1d(left, gone).astype(np.intp)
+        self.going = np.union1d(self.going, np.append(left, gone)).astype(np.intp)
+
+    def left(self) -> int:
+        """How many sweeps the tables are to lead on."""
+        return len(self.waits) + len(self.folded)
 
     def _rod(self, i: int) -> Rods:
         return self.rods.rows(np.array([i]))

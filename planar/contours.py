@@ -363,17 +363,14 @@ class Contours(_Looped):
             raise ValueError("several contours need at least one")
         for part in parts:
             check_contour(part)
-        loops = [part.loops() for part in parts]
-        outlines, points = (
-            [Outlines([one]) for one in loops],
-            [np.concatenate([_vertices(loop) for loop in one]) for one in loops],
-        )
+        outlines = [Outlines([part.loops()]) for part in parts]
         outer = []
         for i in range(len(parts)):
             hidden = False
             for k in range(len(parts)):
                 if k != i:
-                    inside = outlines[k].nearest(np.zeros(len(points[i]), dtype=np.intp), points[i]).gap < 0
+                    points = outlines[i].samples
+                    inside = outlines[k].nearest(np.zeros(len(points), dtype=np.intp), points, 0.0).gap < 0
                     if inside.any() != inside.all():
                         raise ValueError("contours in one plane must not overlap; give the outline of their union")
                     hidden |= bool(inside.all())
@@ -414,11 +411,6 @@ def _checked_points(given: ArrayLike, what: str, name: str) -> Array:
             f"{what} needs finite {name}, got {int((~np.isfinite(points)).any(axis=1).sum())} that are not"
         )
     return points
-
-
-def _vertices(loop: Loop) -> Array:
-    """Points on a loop that tell inside from outside."""
-    return Outlines([[loop]]).samples
 
 
 def _check_convex(contour: Polygon) -> None:

@@ -26,7 +26,7 @@ from planar.pieces import piece
 MOST = 3
 # Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
 _SOLVED, _ROUNDED = 1e-13, 1e-11
-_ITERATIONS = 32
+_ITERATIONS = 16
 # Iterations after which one that does not halve the residual is the last.
 _PATIENT = 5
 # Step of the differences for Newton's derivatives: a root of rounding.

@@ -408,18 +408,14 @@ def _sweep_any(
     outlines = Outlines([contour.loops() for contour in contours])
     for lowest in outlines.low[:, 1]:
         check_height(float(lowest))
-    x0 = list(bases)
-    unknown = [i for i, base in enumerate(bases) if base is None]
-    if unknown:
-        part = Outlines([contours[i].loops() for i in unknown])
-        starts = [part.touch_down(k) - _TOUCHED for k in range(len(unknown))]
+    base_positions = [base for base in bases if base is not None]
+    if not base_positions:
+        starts = [outlines.touch_down(k) - _TOUCHED for k in range(len(contours))]
         # the rod can't reach farther than its length
-        tries = [np.arange(start, part.low[k, 0] - 1.0, -_LOOK) for k, start in enumerate(starts)]
-        least = [np.arctan(frictions[i].min(initial=np.inf if frictions[i].size else 0.0)) for i in unknown]
-        ends = last_contacts(part, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
-        for i, start, end in zip(unknown, starts, ends, strict=True):
-            x0[i] = start + spread * (end - start)
-    base_positions = [base for base in x0 if base is not None]
+        tries = [np.arange(start, outlines.low[k, 0] - 1.0, -_LOOK) for k, start in enumerate(starts)]
+        least = [np.arctan(mu.min(initial=np.inf if mu.size else 0.0)) for mu in frictions]
+        ends = last_contacts(outlines, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
+        base_positions = [start + spread * (end - start) for start, end in zip(starts, ends, strict=True)]
     _check_sizes(frictions, base_positions)
     friction = [np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, base_positions, strict=True)]
     followed = follow(outlines, base_positions, [np.arctan(mu) for mu in friction])
