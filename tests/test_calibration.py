@@ -258,6 +258,8 @@ def test_a_rod_in_a_plane_has_fewer_parameters(noise, tip):
             assert value == pytest.approx(truth[name], rel=1e-6, abs=4 * deviation if noise else 1e-7), name
     assert known[found.names.index("sensor_turn_z_deg")]
     assert known[found.names.index("length_m")] == tip
+    # how far the plane is from the sphere's centre would enter by its square
+    assert not known[[found.names.index(name) for name in ("clamp_z_mm", "sphere_z_mm")]].any()
     assert any("The sweeps lie in one plane" in sentence for sentence in found.sentences)
     corrected = found.applied(recording)
     assert not corrected.six_axis

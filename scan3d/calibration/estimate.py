@@ -214,9 +214,9 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
     if not six:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
         free[TARE:] = np.repeat(channels, air.basis.shape[1])
-        # sweeps in a plane do not determine how far the sphere's centre is from it: its normal is one of the axes
+        # sweeps in a plane tell how far it is from the sphere's centre by the square only: its normal is one of the axes
         reference = replace(reference, axes=frame[0])
-        free[PLACE + 2] = np.ptp(position @ frame[0, :, 2]) > _PLANE * reference.size
+        free[[CLAMP + 2, PLACE + 2]] = np.ptp(position @ frame[0, :, 2]) > _PLANE * reference.size
     light = replace(rod, weight_N=0.0)
     nominal = Rig(
         stiffness=0.0,

@@ -380,8 +380,7 @@ def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, 
     angles, half_turn = [name.endswith("_deg") for name in names], 180 / _STEP
     slopes[angles] = (slopes[angles] + half_turn / 2) % half_turn - half_turn / 2
     slopes[np.abs(slopes) < _ROUNDING * np.abs(slopes).max(axis=1, keepdims=True)] = 0
-    free = fit.problem.free.copy()
-    free[PLACE + 2] = True  # sweeps in a plane do not tell how far the sphere's centre is from it, but where in it
+    free = fit.problem.free
     known = ~(slopes[:, ~free] != 0).any(axis=1)
     if fit.problem.channels.all() and not free[TURN + 1]:  # the sensor's place across the rod turns with it
         known &= [name not in ("sensor_x_mm", "sensor_z_mm") for name in names]
@@ -427,7 +426,8 @@ def lacking(fit: Fit, names: tuple[str, ...], deviations: Array, limits: Array, 
         sentences.append(f"These touches determine {what} poorly ({', '.join(members)}). It needs {touches}.")
     if noun == "sphere" and not fit.problem.free[PLACE + 2]:
         sentences.append(
-            "The sweeps lie in one plane, which is taken to pass through the sphere's centre; sweep planes at several heights."
+            "The sweeps lie in one plane, in which the rod is taken to pass through the sphere's centre; to test this, sweep "
+            "planes at several heights."
         )
     return tuple(sentence.format(noun=noun) for sentence in sentences)
 
