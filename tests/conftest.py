@@ -132,6 +132,14 @@ def call(capsys):
 
 
 @pytest.fixture
+def undiagnosed(monkeypatch):
+    """What contradicts the model does not depend on the search for its cause, which takes most of the time."""
+    from scan3d.reconstruction import Diagnosis, agreement
+
+    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
+
+
+@pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest, and are tested elsewhere."""
     monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)

@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES
 from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed
 
@@ -14,12 +14,10 @@ import scan3d
 from scan3d.cli import main
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
-from scan3d.reconstruction import agreement, checked
+from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.recording import joined
 
-MESHES = Path(__file__).parents[1] / "meshes"
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
 RASTER = {"directions": 5, "heights": 6, "substeps": 2}
 
@@ -37,12 +35,6 @@ def remarks(recording):
     except InputError:
         return ["no contact"]
     return [warning.code for warning in checked(recording, cloud).contradictions]
-
-
-@pytest.fixture
-def undiagnosed(monkeypatch):
-    """What is remarked on does not depend on the search for its cause, which takes most of the time."""
-    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
 
 
 @pytest.fixture(scope="module")
@@ -125,54 +117,7 @@ def test_a_planar_recording_with_six_axes_may_be_read_as_planar(egg):
     assert checked(recording, scan3d.reconstruct(recording, model="planar")).contradictions == []
 
 
-# --- right recordings ---
-
-
-def right_recording(seed):
-    """A right recording of a random body: with random noise, friction, spacing and digits."""
-    rng = np.random.default_rng([seed, 17])
-    noise = float(rng.choice([0.0, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3]))
-    friction = float(rng.choice([0.0, 0.1, 0.5])), float(rng.choice([0.5, 0.8]))
-    plan = scan3d.Plan(
-        slices=int(rng.integers(4, 12)),
-        samples=int(rng.integers(16, 60)),
-        friction=friction if rng.random() < 0.5 else friction[0],
-        axis=str(rng.choice(["x", "y", "z", "xyz"])),
-        noise=noise,
-        seed=seed,
-    )
-    points = rng.standard_normal((rng.integers(8, 60), 3)) * rng.uniform(5, 20, 3)
-    recording = scan3d.simulate(trimesh.convex.convex_hull(points), plan)
-    digits = int(rng.choice([5, 6, 7, 9, 17]))
-    columns = {
-        name: np.vectorize(lambda value: float(f"{value:.{digits - 1}e}"))(getattr(recording, name))
-        for name in ("position_m", "quaternion", "force_N", "moment_Nm")
-    }
-    if rng.random() < 0.2:
-        columns = {name: column.astype(np.float32) for name, column in columns.items()}
-    return replace(recording, **columns)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 200), marks=pytest.mark.trust)], ids=["1", "199"])
-def test_200_right_recordings_are_not_remarked_on(seeds, undiagnosed):
-    assert [seed for seed in seeds if remarks(right_recording(seed))] == []
-
-
-NOISES = [(0.0, 0.0), (1e-5, 1e-5), (1e-3, 1e-3), (1e-2, 1e-3), (1e-4, 1e-2)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("noise", "friction", "seeds"),
-    [
-        ((1e-3, 1e-3), (0.0, 0.4), 1),
-        *(pytest.param(noise, mu, 3, marks=pytest.mark.trust) for noise in NOISES for mu in (0.0, (0.0, 0.4))),
-    ],
-)
-def test_right_recordings_in_space_are_not_remarked_on(noise, friction, seeds, undiagnosed):
-    for seed in range(seeds):
-        assert remarks(recorded_in_space(friction, noise=noise, diameter=0.01, seed=seed, **RASTER)[0]) == []
+# --- right recordings: those in slices are draws of `robustness.bounds` ---
 
 
 @pytest.mark.parametrize("digits", [4, 6])

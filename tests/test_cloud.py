@@ -1,18 +1,17 @@
 """Clouds: each contact knows its row of the recording, and contacts can be selected."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES
 
 import planar
 import scan3d
 from scan3d.files.shapes import cloud_table, ply, read_ply
 from scan3d.reconstruction.contacts import contacts
 
-EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 PER_CONTACT = {"points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row"}
 PER_CONTACT |= {"force_N", "friction", "covariance", "place_sd", "normal_sd"}
 
@@ -21,7 +20,7 @@ PER_CONTACT |= {"force_N", "friction", "covariance", "place_sd", "normal_sd"}
 def recording():
     # with noise, rows near touch-down are lost, so that rows and contacts differ
     plan = scan3d.Plan(slices=6, sweeps=5, samples=16, friction=(0.0, 0.4), noise=1e-4)
-    return scan3d.simulate(scan3d.load_mesh(EGG), plan)
+    return scan3d.simulate(scan3d.load_mesh(MESHES / "egg.stl"), plan)
 
 
 @pytest.fixture(scope="module")

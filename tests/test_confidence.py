@@ -2,11 +2,11 @@
 
 import dataclasses
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES
 
 import scan3d
 from scan3d.bounds.constraints import allowed, sigmas
@@ -18,8 +18,6 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import enclosure
-
-MESHES = Path(__file__).parents[1] / "meshes"
 
 
 @functools.cache

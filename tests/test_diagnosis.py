@@ -4,11 +4,11 @@ import functools
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES
 from scipy.spatial.transform import Rotation
 from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed, drift, offset, sensor
@@ -22,8 +22,6 @@ from scan3d.reconstruction import cause_of_no_contact, checked, diagnose
 from scan3d.recording import Recording
 from scan3d.report import key_figures, report
 from scan3d.rods import Rod
-
-MESHES = Path(__file__).parents[1] / "meshes"
 
 
 @functools.cache

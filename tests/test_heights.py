@@ -1,11 +1,11 @@
 """Heights of the slices: by a rule, or asked for by rigs that are not the simulation, along one axis and several."""
 
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES as FOLDER
 from scipy.spatial.transform import Rotation
 
 import scan3d
@@ -208,7 +208,6 @@ def test_noisy_contacts_are_planned_axis_by_axis():
 
 # --- contours that need more contacts ---
 
-FOLDER = Path(__file__).parents[1] / "meshes"
 FEW_SAMPLES = {"slices": 60, "samples": 10, "friction": (0.0, 0.4)}
 
 

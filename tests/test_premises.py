@@ -10,12 +10,14 @@ import trimesh
 import planar
 import scan3d
 from scan3d.pipeline import analyse
-from scan3d.reconstruction import agreement, checked
+from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.reconstruction.relative import LARGEST
 from scan3d.report import report, summary
 from tests.robustness import faults
+from tests.robustness.bounds import false_statements
+from tests.robustness.shot_rods import noisy
+from tests.wrong_recordings import scaled
 
 BODY = trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0]))
 ROD = replace(scan3d.Rod.of_length(0.028), diameter_m=0.0)
@@ -28,26 +30,13 @@ def simulated(rod):
 
 def recorded(noise=0.0, rod=ROD, gains=(1.0, 1.0, 1.0), seed=0):
     """A recording by a rod that may be another one than the straight, uniform one that it states, with gains of the sensor."""
-    recording = simulated(rod)
-    draw, (force, moment) = np.random.default_rng(seed), (noise * ROD.force_unit_N, noise * ROD.moment_unit_Nm)
-    return replace(
-        recording,
-        rod=ROD,
-        force_N=recording.force_N * gains[:2] + force * draw.standard_normal(recording.force_N.shape),
-        moment_Nm=recording.moment_Nm * gains[2] + moment * draw.standard_normal(len(recording)),
-        noise_force_N=force,
-        noise_moment_Nm=moment,
-    )
+    recording = scaled(*gains)(replace(simulated(rod), rod=ROD))
+    return noisy(recording, noise, np.random.default_rng(seed))
 
 
 def relative_error(recording):
     rig = scan3d.reconstruct(recording).calibration
     return 0.0 if rig is None else rig.relative
-
-
-@pytest.fixture
-def undiagnosed(monkeypatch):
-    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
 
 
 def tapered(part):
@@ -88,19 +77,6 @@ def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     assert checked(recording, cloud).contradictions
 
 
-def false_statements(analysis):
-    """What the bounds state of the body, and what of it is wrong."""
-    bounds, vertices = analysis.bounds, np.asarray(BODY.vertices)
-    low, high = bounds.support(np.vstack([np.eye(3), -np.eye(3)]))
-    true = (vertices @ np.vstack([np.eye(3), -np.eye(3)]).T).max(axis=0)
-    stated = {
-        "bound": analysis.comparison.hausdorff <= analysis.certificate.bound,
-        "extents": bool((low <= true + 1e-9).all() and (true <= high + 1e-9).all()),
-        "volume": bounds.volume[0] <= BODY.volume <= bounds.volume[1],
-    }
-    return [name for name, holds in stated.items() if not holds]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "noise"), [("curved", 1e-3), ("gain of mz", 1e-4), ("tapered", 0.0), ("clamp", 1e-3)]
@@ -111,7 +87,7 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     assert not analysis.warnings
     assert 0 < analysis.cloud.calibration.relative <= LARGEST
     assert np.isfinite(analysis.certificate.bound)
-    assert false_statements(analysis) == []
+    assert false_statements(BODY, analysis) == []
     assert analysis.recording.rig is None  # it is no part of the files
     data = report(analysis, settings={})
     rows = dict(summary(data)[1])

@@ -1,10 +1,9 @@
 """Convex regression: planes fitted to noisy contacts, against least squares, known bodies, and the hull of the contacts."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES
 from scipy.spatial.transform import Rotation
 
 import scan3d
@@ -12,8 +11,7 @@ from scan3d.geometry.distance import distances
 from scan3d.surfaces import certificate, enclosure
 from scan3d.surfaces.choice import surface
 from scan3d.surfaces.regression import Contacts, fit_planes, regression
-
-MESHES = "meshes/"
+from tests.robustness.shot_rods import with_noise
 
 
 def contacts(points, sd):
@@ -61,22 +59,11 @@ def test_a_ball_is_fitted_by_many_planes_and_less_noise_by_more():
     assert found[1][1] < 0.2 < found[0][1] < 0.5
 
 
-def noisy(recording, fraction, seed):
-    """A recording with noise of a fraction of the largest force and of the largest moment."""
-    chance = np.random.default_rng(seed)
-    force, moment = fraction * np.abs(recording.force_N).max(), fraction * np.abs(recording.moment_Nm).max()
-    return replace(
-        recording,
-        force_N=recording.force_N + force * chance.standard_normal(recording.force_N.shape),
-        moment_Nm=recording.moment_Nm + moment * chance.standard_normal(len(recording)),
-        noise_force_N=force,
-        noise_moment_Nm=moment,
-    )
-
-
 def scan(mesh, fraction, slices, seed=1):
+    """Contacts under noise of a fraction of the largest force and of the largest moment."""
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=slices, spacing="cosine", friction=(0.0, 0.4)))
-    return scan3d.reconstruct(noisy(recording, fraction, seed))
+    sizes = (fraction * np.abs(values).max() for values in (recording.force_N, recording.moment_Nm))
+    return scan3d.reconstruct(with_noise(recording, *sizes, np.random.default_rng(seed)))
 
 
 @pytest.mark.slow
@@ -85,7 +72,7 @@ def scan(mesh, fraction, slices, seed=1):
     ["cube.stl", *(pytest.param(name, marks=pytest.mark.trust) for name in ("hexagonal_prism.obj", "cylinder.off"))],
 )
 def test_with_one_per_cent_of_noise_bodies_with_edges_are_found_ten_times_better_than_by_the_hull(name):
-    mesh = scan3d.load_mesh(MESHES + name)
+    mesh = scan3d.load_mesh(MESHES / name)
     cloud = scan(mesh, 0.01, 32)
     bounds = enclosure(cloud)
     found = surface(cloud, bounds=bounds)
@@ -122,7 +109,7 @@ def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
 
 @pytest.mark.slow
 def test_with_one_per_cent_of_noise_the_egg_is_found_to_a_third_of_the_largest_error_of_a_contact():
-    mesh = scan3d.load_mesh(MESHES + "egg.stl")
+    mesh = scan3d.load_mesh(MESHES / "egg.stl")
     cloud = scan(mesh, 0.01, 64)
     off = distances(cloud.points, mesh)
     assert np.sqrt(np.mean(off**2)) < 0.01 * cloud.rod_length
@@ -136,7 +123,7 @@ def test_with_one_per_cent_of_noise_the_egg_is_found_to_a_third_of_the_largest_e
 
 @pytest.mark.slow
 def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
-    mesh = scan3d.load_mesh(MESHES + "lens.off")
+    mesh = scan3d.load_mesh(MESHES / "lens.off")
     cloud = scan(mesh, 0.002, 32)
     assert cloud.fit is not None  # its error at the contacts is that of noise
     found = surface(cloud)

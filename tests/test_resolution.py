@@ -1,7 +1,6 @@
 """The resolution of recorded numbers: decimal digits, single precision, steps of a converter, full precision."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +10,10 @@ import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import rounding_sd
+from tests.robustness import bounds
+from tests.sample_bodies import MESHES
 
-EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
+EGG = MESHES / "egg.stl"
 
 
 def rounded(values, digits):
@@ -66,13 +67,7 @@ def test_full_precision_and_empty_columns_have_no_rounding(values):
 def test_a_log_with_few_digits_keeps_its_contacts(recording, digits):
     """Without an estimate of the digits, tip contacts were lost, 60, 38, 4, 0, and friction read down to 0.12 for 0.3."""
     exact = contacts(recording)
-    log = dataclasses.replace(
-        recording,
-        **{
-            name: rounded(getattr(recording, name), digits)
-            for name in ("position_m", "quaternion", "force_N", "moment_Nm")
-        },
-    )
+    log = bounds.rounded(recording, str(digits))
     cloud = contacts(log)
     assert len(cloud) + cloud.light == len(exact)
     assert np.isin(exact.row[exact.phase == planar.Phase.TIP], cloud.row[cloud.phase == planar.Phase.TIP]).all()
@@ -111,13 +106,7 @@ def test_round_positions_of_a_plan_are_exact(recording):
 @pytest.mark.parametrize("digits", [5, *(pytest.param(k, marks=pytest.mark.trust) for k in (6, 7))])
 def test_the_certificate_allows_for_the_digits(recording, digits):
     mesh = scan3d.load_mesh(EGG)
-    log = dataclasses.replace(
-        recording,
-        **{
-            name: rounded(getattr(recording, name), digits)
-            for name in ("position_m", "quaternion", "force_N", "moment_Nm")
-        },
-    )
+    log = bounds.rounded(recording, str(digits))
     analysis = analyse(log, mesh, "hull")
     assert analysis.warnings == ()
     assert analysis.comparison.hausdorff <= analysis.certificate.bound

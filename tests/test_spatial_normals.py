@@ -109,12 +109,3 @@ def test_without_friction_the_angles_say_so(rubbing):
     assert not frictionless(np.full(50, 1e-3))
     assert not frictionless(np.zeros(3))
     assert not frictionless(np.full(50, np.nan))
-
-
-# --- slopes of local polynomials ---
-
-
-def samples(width, count=50):
-    rng = np.random.default_rng(width)
-    position = np.cumsum(rng.uniform(0.5, 1.5, (count, width)), axis=1)
-    return position, rng.integers(0, width, count), rng.normal(size=(count, width))

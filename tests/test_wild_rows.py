@@ -14,10 +14,9 @@ from scan3d.geometry.distance import nearest
 from scan3d.laboratory.air import tare
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
-from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.reconstruction.errors import noise_in_air
 from scan3d.report import report, summary
-from tests.robustness import bounds
+from tests.robustness.bounds import false_statements
 
 BODIES = {
     "ellipsoid": trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0])),
@@ -62,20 +61,6 @@ def disturbed(recording, noise, kind="", seed=0):
     )
 
 
-def false_statements(body, analysis):
-    """What the bounds state of the body, and what of it is wrong."""
-    names = [name for name, _ in bounds.false_statements(BODIES[body], analysis)]
-    directions = np.vstack([np.eye(3), -np.eye(3)])
-    low, high = analysis.bounds.support(directions)
-    true = (np.asarray(BODIES[body].vertices) @ directions.T).max(axis=0)
-    return names if (low <= true + 1e-9).all() and (true <= high + 1e-9).all() else [*names, "extents"]
-
-
-@pytest.fixture
-def undiagnosed(monkeypatch):
-    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
-
-
 WILD = ["1 % at 10", "5 % at 10", "spikes", "heavy tails", "swapped", "stuck"]
 FEW = [("ellipsoid", "5 % at 10", 1e-3), ("box", "spikes", 1e-4), ("ellipsoid", "stuck", 1e-4)]
 MANY = [(body, kind, noise) for body in BODIES for kind in WILD for noise in (1e-3, 1e-4)]
@@ -93,7 +78,7 @@ def test_wild_rows_are_left_out_and_the_rest_is_certified(body, kind, noise, see
         assert len(analysis.cloud.left_out.rows) > 0
         assert analysis.cloud.left_out.share < agreement.LARGEST_SHARE
         assert np.isfinite(analysis.certificate.bound)
-        assert false_statements(body, analysis) == []
+        assert false_statements(BODIES[body], analysis) == []
 
 
 def test_values_in_the_air_that_are_too_large_widen_the_bounds_where_no_contact_shows_them():
@@ -124,7 +109,7 @@ def test_noise_that_is_larger_than_stated_shows_in_the_air():
     assert noise_in_air(third).size == pytest.approx(3, rel=0.1)
     analysis = analyse(third, BODIES["box"], "hull")
     assert analysis.warnings or analysis.cloud.left_out.factor > 4
-    assert analysis.warnings or false_statements("box", analysis) == []
+    assert analysis.warnings or false_statements(BODIES["box"], analysis) == []
 
 
 def test_in_space_values_in_the_air_that_no_noise_explains_take_the_certificate_away(undiagnosed):
@@ -168,7 +153,7 @@ def test_rows_that_a_thick_rod_contradicts_itself_in_are_left_out():
     analysis = analyse(recording, BODIES["ellipsoid"], "hull")
     assert len(analysis.cloud.fattened.left_out.rows)
     assert np.isfinite(analysis.certificate.bound)
-    assert false_statements("ellipsoid", analysis) == []
+    assert false_statements(BODIES["ellipsoid"], analysis) == []
 
 
 def test_more_wild_rows_than_are_allowed_take_the_certificate_away(undiagnosed):
@@ -183,7 +168,7 @@ def test_a_gain_is_a_relative_error_and_no_wild_rows(noise, undiagnosed):
     analysis = analyse(disturbed(exact("ellipsoid"), noise, "gain"), BODIES["ellipsoid"], "hull")
     left = analysis.cloud.left_out
     assert left is None or not len(left.rows)
-    assert analysis.warnings or false_statements("ellipsoid", analysis) == []
+    assert analysis.warnings or false_statements(BODIES["ellipsoid"], analysis) == []
 
 
 def test_bounds_hold_where_one_wild_contact_was_not_seen():

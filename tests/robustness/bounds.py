@@ -4,9 +4,10 @@
 
 Each draw is a right recording of a convex body.  Of its analysis is asked: the certified bound is at least the true
 Hausdorff distance, no vertex of the surface lies farther from the body than its local bound, the inner body lies inside the
-true one, the true body lies within the inner one's bound, the volume lies in the stated interval, there are no warnings, no
-errors, and no contact that is not finite.  Every failure is printed with the seed that repeats it (`--seed SEED --count 1`),
-then the totals by noise.  Fails if anything fails on exact data, or more often than the stated confidence allows on noisy data.
+true one, the true body lies within the inner one's bound, the volume and the support function lie in the stated intervals,
+there are no warnings, no errors, and no contact that is not finite.  Every failure is printed with the seed that repeats it
+(`--seed SEED --count 1`), then the totals by noise.  Fails if anything fails on exact data, or more often than the stated
+confidence allows on noisy data.
 
 Failures that are to be expected are counted apart.  Missed slices: a slice of the body that the recording has no contact in,
 because the rod does not reach it or the samples pass it by, counts as empty, and bounds the body where it goes on.  Coarse
@@ -48,6 +49,9 @@ NOISE = (0.0, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2)
 KINDS = ("points", "plate", "needle", "box", "prism", "cone", "drop", "ellipsoid", "chamfered", "tetrahedron")
 DIGITS = ("4", "5", "6", "7", "9", "12", "float32", "8 bit", "10 bit", "12 bit", "16 bit", "20 bit", "24 bit", "poses")
 METHODS = ("hull", "bracket", "auto")
+# In which support functions are compared: the axes, and random ones.
+DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(5).normal(size=(100, 3))])
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 # Rounding of distances, relative to the diagonal.
 ROUNDING = 1e-9
 CONFIDENCE = 0.95
@@ -243,6 +247,10 @@ def false_statements(mesh, analysis):
     for name, (true, claimed) in claims.items():
         if not true <= claimed + rounding:
             found.append((name, f"true {true:.4g}, claimed {claimed:.4g}"))
+    low, high = bounds.support(DIRECTIONS)
+    reach = (vertices @ DIRECTIONS.T).max(axis=0)
+    if not ((low <= reach + rounding) & (reach <= high + rounding)).all():
+        found.append(("support", f"beyond by {(low - reach).max():.4g} or {(reach - high).max():.4g}"))
     volume, (lower, upper) = mesh.volume, bounds.volume
     slack = rounding * mesh.area
     if not lower - slack <= volume <= upper + slack:

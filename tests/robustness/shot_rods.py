@@ -267,7 +267,11 @@ def _as_it_was(template, number):
 
 def noisy(recording, noise, draw):
     """The recording with white noise in EI/L² and EI/L, as it states."""
-    force, moment = noise * recording.rod.force_unit_N, noise * recording.rod.moment_unit_Nm
+    return with_noise(recording, noise * recording.rod.force_unit_N, noise * recording.rod.moment_unit_Nm, draw)
+
+
+def with_noise(recording, force, moment, draw):
+    """The recording with white noise in N and N m, as it states."""
     return replace(
         recording,
         force_N=recording.force_N + force * draw.standard_normal(recording.force_N.shape),
