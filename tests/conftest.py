@@ -45,6 +45,7 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
     config.addinivalue_line("markers", "slow: left out of the fast lane")
+    config.addinivalue_line("markers", "all_samples: averages of comparisons are those outside of the tests")
     config.addinivalue_line("markers", "trust: many seeds or many bodies, for `make trust` only")
 
 
@@ -105,14 +106,26 @@ def folder(tmp_path_factory):
     return scanned_folder(tmp_path_factory.mktemp("egg"))
 
 
-@pytest.fixture(scope="module")
-def few_samples():
-    """Fewer points for the averages of comparisons, which take most of their time on small meshes."""
+@pytest.fixture(scope="module", autouse=True)
+def few_samples(request):
+    """Fewer points for the averages of comparisons, which take most of the time of a small scan.
+
+    Tests that compare them with those of other processes ask for `all_samples`, or have the mark of that name.
+    """
     from scan3d import comparison
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "SOME", 1000)
+        if not request.node.get_closest_marker("all_samples"):
+            patch.setattr(comparison, "SOME", 1000)
         yield
+
+
+@pytest.fixture
+def all_samples(monkeypatch):
+    """As many points for the averages of comparisons as outside of the tests."""
+    from scan3d import arrays, comparison
+
+    monkeypatch.setattr(comparison, "SOME", arrays.SOME)
 
 
 @pytest.fixture

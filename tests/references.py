@@ -7,7 +7,6 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from scan3d.spatial.bodies import RoundedPolyhedron
-from scan3d.spatial.sweeping import sweep
 from tests import rigs
 
 # The turn of the reference's frame in the world, in degrees about fixed axes.
@@ -38,7 +37,10 @@ def plane(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, depths=DE
         position.append(0.6 * at * drawn + height * [0, 0, 1])
     slab = trimesh.creation.box((8, 8, 2))
     slab.apply_translation([0, 0, -1])
-    return _swept(slab, np.array(position), np.array(axes), friction, length)
+    body = RoundedPolyhedron(slab.vertices, slab.faces, rigs.ROD.diameter_m / 2 / length)
+    position, axes = np.array(position), np.array(axes)
+    reactions = rigs.felt(body, position, axes, friction)
+    return turned().apply(position.reshape(-1, 3)).reshape(position.shape), axes @ turned().as_matrix().T, *reactions
 
 
 def at_plane(truth):
@@ -53,23 +55,3 @@ def of(kind, truth):
     if kind == "plane":
         return "plane", plane, at_plane(truth)
     return rigs.DIAMETER, rigs.swept, None
-
-
-def _swept(solid, position, axes, friction, length):
-    """Sweeps past a polyhedron, turned into the world."""
-    result = sweep(
-        RoundedPolyhedron(solid.vertices, solid.faces, rigs.ROD.diameter_m / 2 / length),
-        position,
-        axes,
-        friction,
-        substeps=2,
-    )
-    touching = np.isfinite(result.s1)[..., None]
-    force, moment = np.where(touching, result.force, 0), np.where(touching, result.moment, 0)
-    return (
-        turned().apply(position.reshape(-1, 3)).reshape(position.shape),
-        axes @ turned().as_matrix().T,
-        force,
-        moment,
-        result,
-    )

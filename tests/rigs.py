@@ -22,6 +22,38 @@ from scan3d.spatial.sweeping import sweep
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 DIAMETER = 0.030
 CENTRE = np.array([0.41, -0.12, 0.23])
+# A file of all faults that `scan3d.simulation.faults` knows.
+FAULTS = """\
+seed = 3
+rate_hz = 40
+[sensor]
+position_mm = [0, -20, 0]
+euler_deg = [0, 30, 0]
+shows = "rod-on-clamp"
+nominal = {position_mm = [0, -19, 0]}
+[bias]
+fraction = 0.05
+[drift]
+kind = "random-walk"
+fraction = 0.01
+[noise]
+fraction = 0.002
+pink_force_N = 0.001
+[quantisation]
+force_N = 1e-4
+position_um = 1
+[lag]
+ms = 5
+[pose]
+jitter_um = 20
+clock_ms = -2
+[rod]
+length_error = 0.001
+stiffness_error = -0.02
+[missing]
+fraction = 0.001
+gap_ms = 50
+"""
 # Distances from the clamp to the sphere's centre along the rod, in rod lengths; the last two give tip contacts.
 REACH = (0.7, 0.8, 0.9, 1.0, 1.08)
 
@@ -78,9 +110,14 @@ def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REA
     if facets is not None:
         ball = trimesh.creation.icosphere(subdivisions=facets, radius=radius)
         body = RoundedPolyhedron(ball.vertices, ball.faces, ROD.diameter_m / 2 / length)
+    return position, axes, *felt(body, position, axes, friction)
+
+
+def felt(body, position, axes, friction):
+    """Reactions (m, n, 3) of sweeps, zero in the air, and the sweeps themselves."""
     result = sweep(body, position, axes, friction, substeps=2)
     touching = np.isfinite(result.s1)[..., None]
-    return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
+    return np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
 
 
 def with_wrench(recording, force, moment):

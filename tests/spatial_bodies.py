@@ -139,6 +139,21 @@ def random_ellipsoid(seed):
     return Ellipsoid(np.array([1.0, *rng.uniform(0.3, 1.0, size=2)]))
 
 
+def random_shape(seed):
+    """A body and a rod's radius, in turn an ellipsoid, a polyhedron, a box with round edges and a cylinder."""
+    rng = np.random.default_rng(seed)
+    kind = seed % 4
+    if kind == 0:
+        body = random_ellipsoid(seed)
+    elif kind == 1:
+        body = Polyhedron(random_polyhedron(seed).vertices, corners=0.02 * (seed % 8 < 4))
+    elif kind == 2:
+        body = box(rng.uniform(0.5, 1, size=3), rng.uniform(0.02, 0.2), corners=0.1)
+    else:
+        body = Cylinder(rng.uniform(0.2, 0.6), rng.uniform(0.3, 1))
+    return body, (0.0, 0.005, 0.02)[seed % 3]
+
+
 def spatial_cloud(body, count, seed, radius=0.0, *, seen=None, turn=AS_IT_IS, scale=1.0, shift=(0.0, 0.0, 0.0)):
     """A cloud of exact contacts with a body; `seen` selects contacts by points and normals."""
     rng = np.random.default_rng(seed)

@@ -24,6 +24,7 @@ from scan3d.cli import main
 from scan3d.pictures import rendering
 from scan3d.settings import settings
 
+pytestmark = pytest.mark.all_samples  # the results are those of other processes
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
 THREE = (EGG, CUBE, FOLDER / "gem.glb")

@@ -20,7 +20,6 @@ from scan3d.files.formats import export
 from scan3d.files.meshes import FORMATS, load_mesh, read_mesh
 from scan3d.units import UNITS_M
 
-pytestmark = pytest.mark.usefixtures("few_samples")
 KINDS = {**{kind: kind for kind in FORMATS}, "stl_ascii": "stl"}
 
 

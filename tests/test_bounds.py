@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from sample_bodies import convex_hausdorff, outside, random_body, scanned
 from scipy.spatial.transform import Rotation
-from spatial_bodies import Ellipsoid, box, random_polyhedron, spatial_cloud
+from spatial_bodies import largest_difference, random_shape, spatial_cloud
 
 import planar
 import scan3d
@@ -19,23 +19,16 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.session import Session
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.surfaces import Gap, certificate, enclosure, surface
+from tests.robustness.bounds import DIRECTIONS, false_bounds
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
-DIRECTIONS = np.random.default_rng(5).normal(size=(300, 3))
-DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 
 
 def check(cloud, body, margin=None):
-    """Inner ⊂ body ⊂ outer, the bound, the volume, and certificates of surfaces that are right, too large and moved."""
+    """All statements of an enclosure, and certificates of surfaces that are right, too large and moved."""
     bounds, size = enclosure(cloud, margin), float(np.linalg.norm(body.extents))
     rounding = 1e-9 * size
-    assert outside(bounds.inner.vertices, body).max() <= bounds.excess + rounding
-    assert convex_hausdorff(bounds.inner, body) <= bounds.bound + rounding
-    assert bounds.volume[0] * (1 - 1e-9) <= body.volume <= bounds.volume[1] * (1 + 1e-9)
-    lower, upper = bounds.support(DIRECTIONS)
-    truth = (body.vertices @ DIRECTIONS.T).max(axis=0)
-    assert (lower <= truth + rounding).all()
-    assert (truth <= upper + rounding).all()
+    assert false_bounds(body, bounds) == []
     vertices = bounds.inner.vertices.view(np.ndarray)
     made = [bounds.inner, hull(1.05 * vertices), hull(0.9 * vertices + 0.05 * size)]
     if margin is None:
@@ -53,9 +46,18 @@ def parts(count):
     return [seed if seed < count else pytest.param(seed, marks=pytest.mark.trust) for seed in range(60)]
 
 
+PLANS = (("z", 7), ((1.0, 2.0, 0.5), 6), ("xy", 4), ("xyz", 3), ("z", 2))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(2))
-@pytest.mark.parametrize(("axis", "slices"), [("z", 7), ((1.0, 2.0, 0.5), 6), ("xy", 4), ("xyz", 3), ("z", 2)], ids=str)
+@pytest.mark.parametrize(
+    ("axis", "slices", "seed"),
+    [
+        pytest.param(*plan, seed, marks=() if seed in (k, 5) else pytest.mark.trust, id=f"{plan}, {seed}")
+        for k, plan in enumerate(PLANS)
+        for seed in range(60)
+    ],
+)
 def test_what_is_certified_of_slices_is_true(axis, slices, seed):
     body = random_body(seed)
     spacing = ("cosine", "uniform", "adaptive")[seed % 3]
@@ -63,6 +65,21 @@ def test_what_is_certified_of_slices_is_true(axis, slices, seed):
     bounds = check(contacts(scan3d.simulate(body, plan)), body)
     assert slices == 2 or np.isfinite(bounds.bound)
     assert max(bounds.parts().values()) <= bounds.bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", parts(1))
+@pytest.mark.parametrize("margin", [1e-3, 0.3])
+def test_what_is_certified_of_contacts_within_a_margin_is_true(margin, seed):
+    """Contacts that are off in their slices by no more than the margin; without errors the bound is not much wider."""
+    body = random_body(seed)
+    cloud = contacts(scan3d.simulate(body, scan3d.Plan(slices=8, samples=16)))
+    off = np.random.default_rng(seed).normal(size=cloud.points.shape) * [1, 1, 0]
+    off *= margin / np.linalg.norm(off, axis=1)[:, None]
+    check(dataclasses.replace(cloud, points=cloud.points + off), body, margin)
+    exact, wider = enclosure(cloud), enclosure(cloud, margin)
+    assert margin <= wider.margin == margin
+    assert exact.bound + 0.5 * margin < wider.bound < 2 * exact.bound + 20 * margin
 
 
 @pytest.mark.slow
@@ -90,28 +107,29 @@ def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(3))
-@pytest.mark.parametrize("radius", [0.0, 0.02])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
-def test_what_is_certified_of_contacts_anywhere_is_true(noise, radius, seed):
+@pytest.mark.parametrize("seed", parts(4))
+def test_what_is_certified_of_contacts_anywhere_is_true(seed, noise):
     """Of polyhedra and smooth bodies, with rods of different thickness; contacts are off by no more than is stated."""
-    shape = (random_polyhedron(seed), Ellipsoid(np.array([1.0, 0.6, 0.4])), box([1, 0.7, 0.5], 0.1))[seed % 3]
-    cloud = spatial_cloud(shape, 600, seed, radius)
+    shape, radius = random_shape(seed)
+    cloud = spatial_cloud(shape, (600, 400, 2000)[seed % 3], seed, radius)
     if noise:
         off = np.random.default_rng(seed).normal(size=cloud.points.shape)
         off *= noise / np.linalg.norm(off, axis=1)[:, None]
         cloud = dataclasses.replace(cloud, points=cloud.points + off, centre_points=cloud.centre_points + off)
     bounds = enclosure(cloud, noise or None)
+    rounding = 1e-8 * shape.size
     lower, upper = bounds.support(DIRECTIONS)
     truth = shape.support(DIRECTIONS)
-    assert (lower <= truth + 1e-9).all()
-    assert (truth <= upper + 1e-9).all()
-    assert np.abs(truth - (bounds.inner.vertices @ DIRECTIONS.T).max(axis=0)).max() <= bounds.bound + 1e-9
+    assert ((lower <= truth + rounding) & (truth <= upper + rounding)).all()
+    assert largest_difference(bounds.inner, shape) <= bounds.bound + rounding
+    assert noise or np.isfinite(bounds.bound)
     assert set(bounds.parts()) == {"contacts", "rod"}
-    for factor in (1.0, 1.05):
-        made = hull(factor * bounds.inner.vertices.view(np.ndarray))
-        off = truth - (made.vertices @ DIRECTIONS.T).max(axis=0)
-        assert np.abs(off).max() <= certificate(bounds, made).bound + 1e-9
+    made = [hull(factor * bounds.inner.vertices.view(np.ndarray)) for factor in (1.0, 1.02)]
+    if not noise:
+        made.append(surface(cloud, "bracket", bounds=bounds))
+    for mesh in made:
+        assert largest_difference(mesh, shape) <= certificate(bounds, mesh).bound + rounding
 
 
 @functools.cache
@@ -183,7 +201,7 @@ def ball():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fraction", [-0.1, -1e-5, 1e-5, 0.1])
+@pytest.mark.parametrize("fraction", [-0.1, 1e-5])
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """Nothing but the shape decides: what is pushed in by 10 % of the diagonal is not certified as convex."""
     mesh, cloud, bounds = ball

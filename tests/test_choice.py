@@ -76,8 +76,8 @@ def test_the_estimate_lies_between_the_bounds(seed):
 
 @pytest.mark.slow
 def test_under_noise_a_smooth_body_is_still_fitted():
-    mesh = trimesh.creation.icosphere(5, 20.0)
-    cloud = scanned(mesh, noise=1e-3)
+    mesh = trimesh.creation.icosphere(4, 20.0)
+    cloud = scanned(mesh, slices=16, noise=1e-3)
     fitted = surface(cloud)
     assert fitted.metadata["method"] == "support"
     distance, distance_of_hull = (scan3d.compare(shape, mesh).hausdorff for shape in (fitted, surface(cloud, "hull")))
@@ -114,7 +114,7 @@ def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
     top = mesh.vertices[:, 2].max()
     along_z, along_xyz = (
         scanned(mesh, slices=slices, axis=axis, samples=32, spacing="uniform")
-        for slices, axis in ((36, "z"), (12, "xyz"))
+        for slices, axis in ((24, "z"), (8, "xyz"))
     )
     assert top - hull(along_xyz.points).vertices[:, 2].max() < 1e-9
     assert top - hull(along_z.points).vertices[:, 2].max() > 0.1

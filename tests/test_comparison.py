@@ -8,18 +8,10 @@ import trimesh
 from brute_force import EXACT
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
-from scan3d import comparison
 from scan3d.arrays import SOME
 from scan3d.comparison import compare, compare_with_points
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
-
-pytestmark = pytest.mark.usefixtures("few_samples")
-
-
-@pytest.fixture
-def all_samples(monkeypatch):
-    monkeypatch.setattr(comparison, "SOME", SOME)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e6])

@@ -1,4 +1,4 @@
-"""Carlson's integrals, against scipy's functions, and without their help where the series suffices.
+"""Carlson's integrals, without the help of scipy's functions where the series suffices; `test_against_mpmath` has their digits.
 
 Where the series is not accurate, scipy's functions replace it, so that an error in the series may cost time only.
 """
@@ -23,12 +23,6 @@ def arguments():
     x, y = z * 10 ** -rng.uniform(0, 8, (2, 4000))
     x[:50] = 0.0
     return x, y, z
-
-
-def test_carlsons_integrals_against_scipy(arguments):
-    rf, rd = elastica.carlson_integrals(*arguments)
-    np.testing.assert_allclose(rf, elliprf(*arguments), rtol=5e-15)
-    np.testing.assert_allclose(rd, elliprd(*arguments), rtol=1e-14)
 
 
 def test_carlsons_integrals_at_each_distance_alone(arguments):

@@ -14,19 +14,12 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from test_against_reference_values import TABLE
 
 import planar
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
-
-# x0 of the changes from tip to tangential contact and back, and of the snap-off, for μ = 0, 0.2, 0.4, 0.6; seven decimals.
-REFERENCE = [
-    [0.5804765, -0.8616545, -1.2187178],
-    [0.5796126, -0.8528981, -1.2602951],
-    [0.5787763, -0.8453763, -1.2816569],
-    [0.5779661, -0.8387693, -1.2913050],
-]
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +60,8 @@ def test_one_sweep() -> None:
     assert script.friction == pytest.approx(0.3, abs=1e-12)
     header, _, *rows = script.table().splitlines()
     assert header.count("|") == 6
-    for row, expected in zip(rows, REFERENCE, strict=True):
+    for row, known in zip(rows, TABLE.values(), strict=True):
+        expected = [known.to_tangential_x0, known.to_tip_x0, known.snap_off_x0]
         assert [float(cell.split(",")[0]) for cell in row.split("|")[3:6]] == pytest.approx(expected, abs=1e-6)
 
 

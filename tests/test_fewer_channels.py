@@ -110,10 +110,13 @@ def test_what_must_be_known_is_said():
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)
 
 
-@pytest.mark.parametrize(("friction", "direction", "rod"), [(0.0, -1, None), (0.3, 1, None), (0.2, -1, CONE)])
+@pytest.mark.parametrize(
+    ("friction", "direction", "rod"),
+    [(0.0, -1, None), (0.3, 1, None), pytest.param(0.2, -1, CONE, marks=pytest.mark.slow)],
+)
 def test_the_moment_alone_is_enough_along_a_sweep(friction, direction, rod):
-    off = []
-    for samples in (40, 80):
+    off, coarse = [], 40 if rod is None else 24
+    for samples in (coarse, 2 * coarse):
         swept = planar.sweep(ELLIPSE, friction, samples=samples, direction=direction, rod=rod)
         rows = np.flatnonzero((swept.phase == planar.Phase.TANGENTIAL) & felt(swept))
         rows = rows[: np.argmin(np.append(np.diff(rows) == 1, False)) + 1]
@@ -125,7 +128,7 @@ def test_the_moment_alone_is_enough_along_a_sweep(friction, direction, rod):
         off.append(ELLIPSE.distance(found.point).max())
         assert np.abs(found.point - swept.point[rows]).max() < 40 * off[-1]
     # of the second order in the step
-    assert off[0] < 3e-4
+    assert off[0] < 3e-4 * (40 / coarse) ** 2
     assert off[1] < 0.4 * off[0]
     # an error of the start dies out
     wrong = planar.complete_by_moment(*given[:2], given[2] - 0.01, friction=friction, direction=direction, rod=rod)

@@ -14,8 +14,6 @@ from shapes import PAIRS, cube, dented, inscribed_radius, moved, pinhole, polyto
 
 from scan3d.comparison import compare
 
-pytestmark = pytest.mark.usefixtures("few_samples")
-
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
 def test_against_brute_force_in_extended_precision(pair):

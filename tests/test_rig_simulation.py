@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import FAULTS
 from scipy.spatial.transform import Rotation
 from small_scans import CUBE, EGG
 
@@ -260,39 +261,6 @@ def test_rows_are_lost(gap):
     runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], lost, [0]]))))[::2]
     assert np.median(runs) == max(gap, 1)
     assert not lost[[0, -1]].any()
-
-
-FAULTS = """\
-seed = 3
-rate_hz = 40
-[sensor]
-position_mm = [0, -20, 0]
-euler_deg = [0, 30, 0]
-shows = "rod-on-clamp"
-nominal = {position_mm = [0, -19, 0]}
-[bias]
-fraction = 0.05
-[drift]
-kind = "random-walk"
-fraction = 0.01
-[noise]
-fraction = 0.002
-pink_force_N = 0.001
-[quantisation]
-force_N = 1e-4
-position_um = 1
-[lag]
-ms = 5
-[pose]
-jitter_um = 20
-clock_ms = -2
-[rod]
-length_error = 0.001
-stiffness_error = -0.02
-[missing]
-fraction = 0.001
-gap_ms = 50
-"""
 
 
 def test_files_of_faults_are_read(tmp_path):

@@ -271,7 +271,7 @@ def without(report, *keys):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_files(scanned, tmp_path):
+def test_the_same_seed_gives_the_same_files(scanned, tmp_path, all_samples):
     """Also pictures, where something can draw; `scanned` was written by a process with other hashes and one thread."""
     again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
     files = {path.name for path in scanned.iterdir()}

@@ -2,23 +2,12 @@
 
 import numpy as np
 import pytest
-from rods_in_space import follows, random_ellipsoid, random_paths, rods, shapes, slip
+from rods_in_space import random_ellipsoid, random_paths, turning
 from scipy.spatial.transform import Rotation
 
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import End, sweep
 from scan3d.spatial.touchdown import Paths, first_touches
-
-
-def turning(body, count, samples, rng, angle):
-    """Paths past a body whose clamps turn steadily about random axes through the body's middle, by `angle` at most."""
-    position, clamps = random_paths(body, count, samples, rng)
-    turn = rng.normal(size=(count, 3))
-    turn *= (angle * rng.random(count) / np.linalg.norm(turn, axis=1))[:, None]
-    part = np.linspace(-0.5, 0.5, samples)
-    rotation = Rotation.from_rotvec((part[:, None] * turn[:, None]).reshape(-1, 3)).as_matrix()
-    rotation = rotation.reshape(count, samples, 3, 3)
-    return np.einsum("mnij,mnj->mni", rotation, position), np.einsum("mnij,maj->mnai", rotation, clamps)
 
 
 def test_poses_between_samples_turn_steadily():
@@ -73,27 +62,6 @@ def test_an_orbit_about_a_sphere_keeps_the_reactions():
     assert np.linalg.norm(swept.force[0, 14]) > 0.3
     assert np.abs(swept.force[0, 14:] - swept.force[0, 14]).max() < 1e-9
     assert np.abs(swept.moment[0, 14:] - swept.moment[0, 14]).max() < 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
-def test_turning_sweeps_keep_the_laws(friction):
-    body, semi_axes, axes = random_ellipsoid(2)
-    position, clamps = turning(body, 40, 50, np.random.default_rng(4), 1.5)
-    swept = sweep(body, position, clamps, friction)
-    touching = np.isfinite(swept.s1)
-    assert touching.any(axis=1).mean() > 0.3
-    assert (swept.end == End.LOST).mean() <= 0.05
-    local = shapes(swept, clamps, touching) @ axes.T / semi_axes
-    assert ((local**2).sum(axis=-1) - 1).min() > -1e-9
-    assert np.abs(shapes(swept, clamps, touching)[:, 0] - position[touching]).max() < 1e-9
-    rows = follows(swept) & ~swept.sticks
-    assert rows.sum() > 200
-    force, normal, path = rods(swept, clamps, rows).force, swept.normal[rows], slip(swept, rows)
-    pressed = (force * normal).sum(axis=1)[:, None]
-    length = np.linalg.norm(path, axis=1)[:, None]
-    amiss = (force - pressed * normal + friction * pressed * path / length) / np.linalg.norm(force, axis=1)[:, None]
-    assert np.abs(amiss[length[:, 0] > 1e-4]).max() < 1e-8
 
 
 def test_touch_downs_of_turning_clamps_are_the_first_by_brute_force():

@@ -47,7 +47,7 @@ def test_a_recording_keeps_its_table(recording, tmp_path):
     assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     mesh = body(seed)
     recording = swept(mesh)
@@ -95,12 +95,11 @@ def test_the_table_cuts_slices_along_other_axes(axis):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("radius", [0.0, 0.02])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "radius"), [(0, 0.02), (1, 0.0), (2, 0.02)])
 def test_the_table_closes_contacts_in_space(seed, radius):
     shape = Ellipsoid(np.array([1.0, 0.8, 0.6])) if seed == 0 else random_polyhedron(seed)
     lowest = -float(shape.support(np.array([[0.0, 0.0, -1.0]]))[0])
-    cloud = spatial_cloud(shape, 6000, seed, radius, seen=lambda _, normals: normals[:, 2] > -0.6)
+    cloud = spatial_cloud(shape, 3000, seed, radius, seen=lambda _, normals: normals[:, 2] > -0.6)
     before = enclosure(cloud).bound
     bounds = enclosure(dataclasses.replace(cloud, table=lowest))
     assert largest_difference(bounds.inner, shape) <= bounds.bound < min(before, 1.0)
@@ -139,12 +138,12 @@ def logs(tmp_path_factory):
 
 def reconstructed(log, out, capsys, *options):
     """The certificate of a report, and what the command prints."""
-    assert main(["reconstruct", str(log), "--out", str(out), *options]) == 0
+    assert main(["reconstruct", str(log), "--out", str(out), "--method", "hull", *options]) == 0
     return json.loads((out / "report.json").read_text())["certificate"], capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_the_commands_know_the_table(logs, tmp_path, capsys):
+def test_the_commands_know_the_table(logs, tmp_path, capsys, no_pictures):
     folder, _ = logs
     known, text = reconstructed(folder / "log.csv", tmp_path / "out", capsys)
     assert known["table"] == 0.0

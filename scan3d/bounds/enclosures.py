@@ -381,12 +381,12 @@ def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: f
             by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
             excess = _excess(cloud, allow, by_axis)
         margin = max(off) + cloud.lever
-        smaller = shrunk(inner, margin) if margin else inner
-        if smaller is None:
-            return _unbounded(inner, by_axis[0], confidence)
-        inner = smaller
     else:
         confidence = 1.0
+    smaller = shrunk(inner, margin) if margin else inner
+    if smaller is None:
+        return _unbounded(inner, by_axis[0], confidence)
+    inner = smaller
     outer = [slabs(stack, margin) for stack in by_axis]
     if len(by_axis) > 1 and cloud.tilt is None:
         # another stack may bound the height of a stack more tightly than its empty slices do

@@ -229,24 +229,33 @@ def counts(name):
 
 def false_statements(mesh, analysis):
     """The statements about the body that are false."""
-    bounds, found = analysis.bounds, []
-    vertices = np.asarray(mesh.vertices)
-    rounding = ROUNDING * float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    claims = {
-        "bound": (analysis.comparison.hausdorff, analysis.certificate.bound),
-        "inner body's bound": (float(nearest(vertices, bounds.inner)[0].max()), bounds.bound),
-        "inner body": (float(nearest(np.asarray(bounds.inner.vertices), mesh)[0].max()), 0.0),
-    }
-    if bounds.bound == np.inf and bounds.margin == np.inf:
-        del claims["inner body"]  # contacts that prove nothing: nothing is claimed
-    elif analysis.cloud.model == "spatial":
-        del claims["inner body"]
     off = np.abs(nearest(np.asarray(analysis.surface.vertices), mesh)[0])
     worst = np.argmax(off - analysis.certificate.at_vertices)
-    claims["local bound"] = float(off[worst]), float(analysis.certificate.at_vertices[worst])
-    for name, (true, claimed) in claims.items():
-        if not true <= claimed + rounding:
-            found.append((name, f"true {true:.4g}, claimed {claimed:.4g}"))
+    claims = {
+        "bound": (analysis.comparison.hausdorff, analysis.certificate.bound),
+        "local bound": (float(off[worst]), float(analysis.certificate.at_vertices[worst])),
+    }
+    return wrong(claims, mesh) + false_bounds(mesh, analysis.bounds, analysis.cloud.model == "spatial")
+
+
+def wrong(claims, mesh):
+    """Those claims, as pairs of a true value and the largest that is claimed, by their name, that do not hold."""
+    rounding = ROUNDING * float(np.linalg.norm(mesh.extents))
+    return [
+        (name, f"true {true:.4g}, claimed {claimed:.4g}")
+        for name, (true, claimed) in claims.items()
+        if not true <= claimed + rounding
+    ]
+
+
+def false_bounds(mesh, bounds, spatial=False):
+    """The statements of an enclosure that are false."""
+    vertices, rounding = np.asarray(mesh.vertices), ROUNDING * float(np.linalg.norm(mesh.extents))
+    claims = {"inner body's bound": (float(nearest(vertices, bounds.inner)[0].max()), bounds.bound)}
+    # contacts that prove nothing claim nothing
+    if not spatial and not bounds.bound == bounds.margin == np.inf:
+        claims["inner body"] = float(nearest(np.asarray(bounds.inner.vertices), mesh)[0].max()), bounds.excess
+    found = wrong(claims, mesh)
     low, high = bounds.support(DIRECTIONS)
     reach = (vertices @ DIRECTIONS.T).max(axis=0)
     if not ((low <= reach + rounding) & (reach <= high + rounding)).all():

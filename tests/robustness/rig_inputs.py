@@ -17,36 +17,7 @@ from tests import rigs
 KINDS = ("plan", "plan", "poses", "poses", "import", "import", "import", "calibrate", "next", "next", "sweep")
 FOLDER = "rig"
 """Name of the folder with the right files."""
-_FAULTS = """\
-seed = 3
-rate_hz = 20
-speed_mm_s = 60.0
-missing = {fraction = 0.01, gap_ms = 100}
-[sensor]
-position_mm = [0, -20, 0]
-euler_deg = [0, 30, 0]
-shows = "rod-on-clamp"
-nominal = {position_mm = [0, -20, 0], euler_deg = [0, 30, 0]}
-[bias]
-fraction = 0.05
-[drift]
-kind = "random-walk"
-fraction = 0.01
-[noise]
-fraction = 0.002
-pink_fraction = 0.001
-[quantisation]
-fraction = 0.0001
-position_um = 10
-[lag]
-ms = 5
-[pose]
-jitter_um = 20
-clock_ms = 1
-[rod]
-length_error = 0.001
-stiffness_error = 0.01
-"""
+_FAULTS = rigs.FAULTS.replace("rate_hz = 40", "rate_hz = 20\nspeed_mm_s = 60.0")
 _AROUND = ("box:24x34x44", "cylinder:40x44", "sphere:60")
 _WORDS = (*_AROUND, "box:1x1x1", "sphere:1e9", "cylinder:0x0", "box:24x34", "steel:0.3x60", "nylon:1x20", "planar", "spatial",
           "mm", "m", "in", "auto", "linear", "constant")  # fmt: skip
