@@ -13,8 +13,6 @@ from scan3d.planning import plan as aims
 from scan3d.simulation import spatial
 from scan3d.spatial.bodies import RoundedPolyhedron
 
-TINY = dict(model="spatial", slices=4, samples=8, friction=(0.0, 0.4))
-
 
 @pytest.fixture(scope="module")
 def cube():
@@ -22,10 +20,14 @@ def cube():
 
 
 @pytest.fixture(scope="module")
-def tiny(cube):
-    """The recording of a scan with all rounds of aimed sweeps, and what was told of its progress."""
-    told = []
-    return scan3d.simulate(cube, scan3d.Plan(**TINY), lambda *done: told.append(done)), told
+def scanned(tmp_path_factory):
+    """The folder of a scan with all rounds of aimed sweeps."""
+    out = tmp_path_factory.mktemp("space") / "out"
+    few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull", "--quiet"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
+        assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
+    return out
 
 
 def test_the_directions_are_spread_evenly():
@@ -88,8 +90,8 @@ def test_aimed_sweeps_touch_where_they_are_aimed(cube):
 
 
 @pytest.mark.slow
-def test_recordings_have_six_axes_and_touch_the_fattened_body(tiny, cube):
-    recording, _ = tiny
+def test_recordings_have_six_axes_and_touch_the_fattened_body(scanned, cube):
+    recording = scan3d.read_recording(scanned / "recording.csv")
     assert recording.six_axis
     assert recording.source["model"] == "spatial"
     assert recording.rod.diameter_m == pytest.approx(0.006 * recording.rod.length_m)
@@ -115,20 +117,16 @@ def test_recordings_have_six_axes_and_touch_the_fattened_body(tiny, cube):
 
 
 @pytest.mark.slow
-def test_the_command_scans_in_space(tmp_path, capsys, no_pictures):
-    out = tmp_path / "out"
-    few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull"]
-    assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
-    assert "sweeps" in capsys.readouterr().out
-    report = json.loads((out / "report.json").read_text())
+def test_the_command_scans_in_space(scanned, tmp_path, no_pictures):
+    report = json.loads((scanned / "report.json").read_text())
     assert report["model"] == "spatial"
     assert report["warnings"] == []
     assert report["hausdorff"]["two_sided"] <= report["certificate"]["bound"]
     assert report["counts"]["slices"] == 0
-    header = (out / "recording.csv").read_text().splitlines()[0].split(",")
+    header = (scanned / "recording.csv").read_text().splitlines()[0].split(",")
     assert {"fz_N", "mx_Nm", "my_Nm"} <= set(header)
-    assert "diameter_m" in (out / "recording.toml").read_text()
-    again = ["reconstruct", str(out / "recording.csv"), "--method", "hull", "--out", str(tmp_path / "again")]
+    assert "diameter_m" in (scanned / "recording.toml").read_text()
+    again = ["reconstruct", str(scanned / "recording.csv"), "--method", "hull", "--out", str(tmp_path / "again")]
     assert main([*again, "--truth", str(CUBE)]) == 0
     found = json.loads((tmp_path / "again" / "report.json").read_text())
     assert found["certificate"] == report["certificate"]

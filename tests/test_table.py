@@ -138,7 +138,7 @@ def logs(tmp_path_factory):
 
 def reconstructed(log, out, capsys, *options):
     """The certificate of a report, and what the command prints."""
-    assert main(["reconstruct", str(log), "--out", str(out), "--method", "hull", *options]) == 0
+    assert main(["reconstruct", str(log), "--out", str(out), *options]) == 0
     return json.loads((out / "report.json").read_text())["certificate"], capsys.readouterr().out
 
 
