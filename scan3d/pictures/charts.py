@@ -10,7 +10,7 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.numbers import number, share
+from scan3d.numbers import FORCES, MOMENTS, number, reaction_unit, share
 from scan3d.pictures import figures, parts
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.sheet import FONT, Sheet
@@ -41,10 +41,11 @@ def reactions(scene: Scene, sheet: Sheet) -> Any:
     numbers = np.unique(recording.sweep)
     colors = ScalarMappable(Normalize(float(numbers[0]), float(max(numbers[-1], numbers[0] + 1))), "viridis")
     force, moment = recording.wrench() if recording.six_axis else (recording.force_N, recording.moment_Nm)
-    values = np.column_stack([1e3 * force, 1e6 * moment])
-    labels = figures.SIX_REACTION_LABELS if recording.six_axis else figures.REACTION_LABELS
+    wrench = np.column_stack([force, moment])
+    names, units, sizes = _reactions(wrench)
+    values = wrench / sizes
     figure = figures.chart(7 / 5, sheet)
-    columns = figure.subplots(3, len(labels) // 3, sharex=True, squeeze=False).T
+    columns = figure.subplots(3, len(names) // 3, sharex=True, squeeze=False).T
     panels = columns.ravel()
     scale = 1 / UNITS_M[recording.unit]
     for sweep in numbers[parts.evenly_chosen(len(numbers), 60)]:
@@ -53,9 +54,9 @@ def reactions(scene: Scene, sheet: Sheet) -> Any:
         travel = scale * np.linalg.norm(position - position[0], axis=1)
         for axes, column in zip(panels, values[rows].T, strict=True):
             axes.plot(travel, column, color=colors.to_rgba(sweep), lw=0.8 / 12 * sheet.font)
-    for axes, label in zip(panels, labels, strict=True):
+    for axes, name, unit in zip(panels, names, units, strict=True):
         # above the panel, because panels may be lower than their label is long
-        axes.set_title(label, fontsize=sheet.font - 1, loc="left", pad=0.25 * sheet.font)
+        axes.set_title(f"{name} in {unit}", fontsize=sheet.font - 1, loc="left", pad=0.25 * sheet.font)
         figures.open_axes(axes, sheet.font - 2)
         axes.margins(x=0.01)
         axes.yaxis.set_major_locator(figures.ticks(0.7 * figure.get_figheight() / 3, sheet, 1.8, 4))
@@ -69,6 +70,17 @@ def reactions(scene: Scene, sheet: Sheet) -> Any:
         bar.outline.set_linewidth(0.05 * sheet.font)
         bar.set_label("number of the sweep", fontsize=sheet.font)
     return figure
+
+
+def _reactions(wrench: Array) -> tuple[list[str], list[str], Array]:
+    """Names of support reactions (n, 6) in space or (n, 3) in a plane, the units of their size, and these in SI units (c,)."""
+    names = [f"${quantity}_{{0{axis}}}$" for quantity in "fm" for axis in "xyz"]
+    names = names if wrench.shape[1] == 6 else [names[0], names[1], names[5]]
+    shown = {}
+    for kind, units in (("f", FORCES), ("m", MOMENTS)):
+        columns = wrench[:, [kind in name for name in names]]
+        shown[kind] = reaction_unit(float(np.nanmax(np.abs(columns), initial=0.0)), units)
+    return names, [shown[name[1]][0] for name in names], np.array([float(shown[name[1]][1]) for name in names])
 
 
 def histograms(scene: Scene, sheet: Sheet) -> Any:
@@ -187,22 +199,22 @@ def import_figure(imported: Imported) -> Any:
     clock = imported.clock - imported.clock[0]
     figure = figures.chart(2.0, Sheet(width=10.0))
     panels = figure.subplots(2, 2, sharex=True)
+    sweeps = [imported.sweep >= 0, imported.sweep % 2 == 1]  # neighbours in two shades
     sides = (
-        ("the sensor; blue: in the air, dashed: zero", imported.log.wrench, imported.zero, imported.air, parts.ROD),
-        ("at the clamp; grey: sweeps", imported.wrench, None, imported.sweep >= 0, parts.UNKNOWN),
+        ("the sensor; blue: in the air, dashed: zero", imported.log.wrench, imported.zero, [imported.air], parts.ROD),
+        ("at the clamp; grey: sweeps", imported.wrench, None, sweeps, parts.UNKNOWN),
     )
-    for side, (title, wrench, zero, marked, color) in enumerate(sides):
+    for side, (title, wrench, zero, marked, shade) in enumerate(sides):
+        names, units, sizes = _reactions(wrench)
         for part, axes in enumerate(panels[:, side]):
-            (label, *names), scale = figures.SPATIAL_LABELS[part], (1e3, 1e6)[part]
             across = axes.get_xaxis_transform()
-            axes.fill_between(clock, 0, 1, where=marked, color=color, alpha=0.25, lw=0, transform=across)
-            for axis, name in enumerate(names):
-                column = 3 * part + axis
-                line = {"color": parts.REACTION_COLORS[axis], "lw": 0.8, "label": name}
-                axes.plot(clock, scale * wrench[:, column], **line)
+            for rows in marked:
+                axes.fill_between(clock, 0, 1, where=rows, color=shade, alpha=0.25, lw=0, transform=across)
+            for column, color in zip(range(3 * part, 3 * part + 3), parts.REACTION_COLORS, strict=True):
+                axes.plot(clock, wrench[:, column] / sizes[column], color=color, lw=0.8, label=names[column])
                 if zero is not None and len(zero) == len(clock):
-                    axes.plot(clock, scale * zero[:, column], color=parts.INK, lw=0.9, ls="--")
-            axes.set_ylabel(label, fontsize=FONT - 2)
+                    axes.plot(clock, zero[:, column] / sizes[column], color=parts.INK, lw=0.9, ls="--")
+            axes.set_ylabel(f"{('force', 'moment')[part]} in {units[3 * part]}", fontsize=FONT - 2)
             figures.open_axes(axes, FONT - 3)
             axes.legend(fontsize=FONT - 3, frameon=False, ncols=3)
         panels[0, side].set_title(title, loc="left", fontsize=FONT - 1)

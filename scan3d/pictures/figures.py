@@ -21,13 +21,6 @@ from scan3d.pictures.parts import INK, UNKNOWN, Shade
 from scan3d.pictures.sheet import DPI, FONT, WIDTH, Sheet
 from scan3d.units import unit_symbol
 
-_FORCES, _MOMENTS = ([f"${quantity}_{{0{axis}}}$" for axis in "xyz"] for quantity in "fm")
-SIX_REACTION_LABELS = (*(f"{name} in mN" for name in _FORCES), *(f"{name} in mN mm" for name in _MOMENTS))
-"""Axis labels of six support reactions."""
-REACTION_LABELS = (*SIX_REACTION_LABELS[:2], SIX_REACTION_LABELS[5])
-"""Axis labels of the support reactions in the plane (8)."""
-SPATIAL_LABELS = [["force in mN", *_FORCES], ["moment in mN mm", *_MOMENTS]]
-"""Labels of two axes for three components each, with the names of the components."""
 # Margin at the figure's edge, in sizes of letters.
 _MARGIN = 0.5
 
