@@ -16,20 +16,6 @@ from scan3d.numbers import force, length, lengths, number
 from scan3d.rigs import RigErrors
 from scan3d.shown import Exported, Rows, Shown
 
-# A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
-# this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
-# without contacts.
-_LIGHT, _NEGLIGIBLE = 4.0, 2e-5
-# Median standard deviation of a place, in rod lengths, from which on surfaces are fitted to contacts by their uncertainties.
-# Larger, surfaces follow the outermost contacts of less noisy recordings; smaller, rounding counts as noise.
-_NOISY = 1e-7
-# Least standard deviation of a contact in any direction by which it is weighted, in median ones of a place.  Larger, accurate
-# contacts count less; smaller, what the noise does not explain, as the facets of a fit, is drawn to the few most accurate ones.
-_FLOOR = 0.15
-# Errors of the second order: the square of a place's standard deviation over this fraction of the rod's length.  Larger, they
-# are neglected; smaller, light contacts count less than they could.
-_SECOND_ORDER = 0.3
-
 
 class NormalSource(IntEnum):
     """Where a contact's normal comes from."""
@@ -188,19 +174,21 @@ class Cloud(Shown, Exported):
         """The cloud without the contacts whose place is much less certain than most, as under light touches."""
         if self.place_sd is None:
             return self
-        limit = max(_LIGHT * self.noise, _NEGLIGIBLE * self.rod_length)
+        # less uncertain ones do not draw surfaces to places outside the body
+        limit = max(4 * self.noise, 2e-5 * self.rod_length)
         return self if (self.place_sd <= limit).all() else self.select(self.place_sd <= limit)
 
     @property
     def noisy(self) -> bool:
         """Whether the contacts have errors that surfaces should not follow."""
-        return self.covariance is not None and self.noise > _NOISY * self.rod_length
+        return self.covariance is not None and self.noise > 1e-7 * self.rod_length
 
     def least_variance(self) -> Array:
         """(n,) variances that are added to the covariances in every direction where contacts are weighted; for noisy data."""
         assert self.place_sd is not None
-        second = self.place_sd**2 / (_SECOND_ORDER * self.rod_length)
-        variance: Array = (_FLOOR * self.noise) ** 2 + self.pose_error**2 + second**2
+        # errors of the second order, and no contact counts as if it were much more accurate than most
+        second = self.place_sd**2 / (0.3 * self.rod_length)
+        variance: Array = (0.15 * self.noise) ** 2 + self.pose_error**2 + second**2
         return variance
 
     def sd_along(self, directions: Array) -> Array | None:
@@ -252,27 +240,7 @@ class Cloud(Shown, Exported):
 
 
 PER_CONTACT = (
-    *(
-        "points",
-        "normals",
-        "normal_source",
-        "in_plane_normals",
-        "phase",
-        "slice",
-        "sweep",
-        "row",
-        "force_N",
-        "friction",
-    ),
-    *(
-        "recovered",
-        "covariance",
-        "place_sd",
-        "normal_sd",
-        "centre_points",
-        "centre_covariance",
-        "tangents",
-        "tangent_sd",
-    ),
-    *("bending_angle", "slip_to_path"),
-)
+    "points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row", "force_N", "friction",
+    "recovered", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents", "tangent_sd",
+    "bending_angle", "slip_to_path",
+)  # fmt: skip

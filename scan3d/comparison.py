@@ -18,15 +18,6 @@ from scan3d.shown import Described, Rows, described
 if TYPE_CHECKING:
     import trimesh
 
-# Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).
-AVERAGE_GAP = 0.05
-# Faces that are tried for each point of an average.
-_TRIED_FACES = 10
-# A point is straight above a face if its distances from the face and from its plane differ by less than this fraction.
-_STRAIGHT_ABOVE = 1e-6
-# Distance, in diagonals of the mesh, within which area counts as agreeing in the F-score.
-F_SCORE_RADIUS = 0.01
-
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Described):
@@ -117,10 +108,7 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
     # sums of numpy, as products of BLAS depend on its number of threads
     means = [float((w * d).sum()) for w, d in zip(weights, distances, strict=True)]
     squares = [float((w * d**2).sum()) for w, d in zip(weights, distances, strict=True)]
-    within = [
-        min(1.0, float(w[d * scale <= F_SCORE_RADIUS * diagonal].sum()))
-        for w, d in zip(weights, distances, strict=True)
-    ]
+    within = [min(1.0, float(w[d * scale <= 0.01 * diagonal].sum())) for w, d in zip(weights, distances, strict=True)]
     weight = np.concatenate(weights)
     return Comparison(
         hausdorff=worst.lower * scale,
@@ -194,13 +182,14 @@ def _deviations(source: Body, target: Body, samples: _Samples) -> tuple[Array, A
 
     An angle is NaN where either face has no area.
     """
-    distance, face, lower = target.search.near(samples.points, _TRIED_FACES)
+    distance, face, lower = target.search.near(samples.points, 10)
     # For samples far away any face nearby will do, because thousands are almost as near as the nearest one.
-    uncertain = distance - lower > AVERAGE_GAP * distance
+    # the error of an average is about the square of this
+    uncertain = distance - lower > 0.05 * distance
     if np.isfinite(target.slack):
         # the target lies below the planes of its faces: a point straight above a face is no nearer to another one
         above = dot(target.planes[face, :3], samples.points) - target.planes[face, 3]
-        uncertain &= distance - above > _STRAIGHT_ABOVE * distance
+        uncertain &= distance - above > 1e-6 * distance
     distance[uncertain], face[uncertain] = target.search.nearest(samples.points[uncertain])
     a, b = source.normals[samples.faces], target.normals[face]
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), dot(a, b)))

@@ -22,10 +22,6 @@ from scan3d.errors import InputError
 from scan3d.numbers import length, number
 
 _EULER = "xyz"
-# Largest error of a quaternion's length: that of one written with three digits.
-_UNIT = 1e-3
-# Part of a rod's length to which the rounding of positions must be known: a thousandth of the thinnest rods' diameters.
-_COARSE = 1e-6
 
 
 def turn_of(euler_deg: ArrayLike) -> Array:
@@ -49,7 +45,8 @@ def check_positions(what: str, position_m: Array, length_m: float) -> None:
     """Raise InputError where positions (n, 3) are so far from the origin that their rounding blurs a rod of that length."""
     largest = float(np.abs(position_m).max())
     step = float(np.spacing(largest))
-    if step > _COARSE * length_m:
+    # a thousandth of the thinnest rods' diameters
+    if step > 1e-6 * length_m:
         raise InputError(
             f"{what}: position_m holds {number(largest)} m, where numbers are {length(step, 'm', digits=2)} apart, too "
             "coarse for a rod of "
@@ -62,7 +59,8 @@ def check_orientations(what: str, quaternion: Array) -> None:
     with np.errstate(over="ignore"):  # the length of huge quaternions is infinite, and is refused
         length = np.linalg.norm(quaternion, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
-    if abs(length[worst] - 1) > _UNIT:
+    # three digits are enough
+    if abs(length[worst] - 1) > 1e-3:
         raise InputError(
             f"{what}: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
             f"{length[worst]:.4g}"

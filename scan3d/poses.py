@@ -22,8 +22,6 @@ from scan3d.rods import Rod
 
 SPEED_M_S = 0.02
 """Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
-# Shortest time between two poses, in seconds, which stand at the same place.
-_PAUSE = 1e-3
 
 
 class Move(IntEnum):
@@ -120,5 +118,6 @@ class PoseList:
         length = self.rod.length_m if self.rod is not None else 0.0
         angle = np.zeros(max(len(self) - 1, 0)) if len(self) < 2 else (turns[:-1].inv() * turns[1:]).magnitude()
         path = np.linalg.norm(np.diff(self.position_m, axis=0), axis=1)
-        steps = np.maximum(np.maximum(path, length * angle) / self.speed_m_s, _PAUSE)
+        # poses at the same place follow each other by no less
+        steps = np.maximum(np.maximum(path, length * angle) / self.speed_m_s, 1e-3)
         return np.concatenate([[0.0], np.cumsum(steps)])

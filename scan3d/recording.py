@@ -34,29 +34,19 @@ from scan3d.units import UNITS_M
 
 # Distinct normals of slices that a table lists: scans along the three axes have three.
 _MOST_NORMALS = 4
-# Standard deviations in N, N·m or m whose squares are no numbers of a computer.
-_LARGEST_NOISE = 1e60
-# Numbers whose digits are counted at most, evenly spread over the column.
-_COUNTED = 2000
-# Significant digits from which a column counts as not rounded, in double precision, which has 15 to 17, and in single.
-_FULL, _FULL_SINGLE = 15, 8
-# A column has steps if its numbers lie on a common grid to within this fraction of a step, which allows for few digits.
-_ON_GRID = 0.02
+# Significant digits from which a column counts as not rounded: double precision has 15 to 17.
+_FULL = 15
 # The grid's step is determined by ever larger distances, each at most this many times the one before if there is such a one:
 # digits that are missing then do not make the number of steps in the next distance uncertain.
 _GROWTH = 8.0
-# Steps in the smallest gap between two numbers of a column, at most, and numbers, at least, that show a grid or their digits.
-_PARTS, _FEWEST = 12, 20
-# Rounding of remainders in Euclid's algorithm, relative to the largest number.
-_EUCLID = 1e-9
+# Numbers, at least, that show a grid or their digits.
+_FEWEST = 20
 # Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
 # are taken for those of a plan, which are round but exact.
 _FINE = 1e-4
 # Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
 # is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
 _DITHER = 3**0.5
-# Rounding below this fraction of the noise does not count.
-_NEGLIGIBLE = 0.03
 LARGEST_OVER_SD = 3.0
 """The largest error by rounding of three coordinates, over the standard deviation of one."""
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
@@ -182,7 +172,8 @@ class Recording(Shown):
         noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
-        if max(noises) > _LARGEST_NOISE:
+        # the squares of larger ones are no numbers of a computer
+        if max(noises) > 1e60:
             raise InputError(
                 f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N, N m or m"
             )
@@ -312,8 +303,8 @@ def _decimal_step(values: Array, largest: float, single: bool) -> float:
     ten that has so many numbers that not all of them end with zeros by chance.  Numbers with fixed decimals have the fewer
     digits the smaller they are.
     """
-    some = np.abs(evenly(values, _COUNTED))
-    kept, full = (np.float32, _FULL_SINGLE) if single else (float, _FULL)
+    some = np.abs(evenly(values, 2000))
+    kept, full = (np.float32, 8) if single else (float, _FULL)
     power = np.floor(np.log10(some))
     exponents, counts = np.unique(power, return_counts=True)
     found: dict[float, int] = {}
@@ -343,15 +334,16 @@ def _grid_step(values: Array) -> float:
     first = int(np.diff(distinct).argmin())
     distances = np.sort(np.abs(distinct - distinct[first]))[1:]
     # the smallest gap, or the common divisor of two distances, may be a few steps
-    rounding = _EUCLID * float(np.abs(distinct).max())
+    rounding = 1e-9 * float(np.abs(distinct).max())
     first_ones = distances[:3].tolist()
     divisors = [first_ones[0], *(_divisor(*pair, rounding) for pair in combinations(first_ones, 2))]
-    for candidate in (divisor / part for divisor in divisors for part in range(1, _PARTS + 1)):
+    for candidate in (divisor / part for divisor in divisors for part in range(1, 13)):
         if candidate <= rounding:
             continue
         step = _refined(distances, candidate)
         multiples = distances / step
-        if (np.abs(multiples - np.round(multiples)) <= _ON_GRID).all():
+        # which allows for few digits
+        if (np.abs(multiples - np.round(multiples)) <= 0.02).all():
             return step
     return 0.0
 
@@ -374,7 +366,13 @@ def _refined(distances: Array, step: float) -> float:
 
 def together(stated: float, rounding: float) -> float:
     """Standard deviation of the sum of noise and rounding."""
-    return stated if rounding <= _NEGLIGIBLE * stated else float(np.hypot(stated, rounding))
+    return stated if rounding <= 0.03 * stated else float(np.hypot(stated, rounding))
+
+
+def reaction_columns(force: Array, moment: Array, six_axis: bool) -> dict[str, Any]:
+    """The columns of a recording that hold reactions (n, 3) in N and N m; without six axes only those in the plane."""
+    columns = {"force_N": force[:, :2], "moment_Nm": moment[:, 2]}
+    return columns | (dict(zip(SIX_AXES, [force[:, 2], *moment[:, :2].T], strict=True)) if six_axis else {})
 
 
 def of_rows(recording: Recording, rows: Mask | Index) -> Recording:

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 """Number of the format of ``report.json``."""
-HIDDEN = 1e-8
-"""Distance of an exact contact from the truth, in rod lengths, from which on a second contact is to blame."""
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
@@ -178,7 +176,8 @@ def _second(analysis: Analysis) -> dict[str, int | None]:
     cloud, hidden = analysis.cloud, None
     if analysis.contact_error is not None:
         noise = np.zeros(len(cloud)) if cloud.place_sd is None else cloud.place_sd
-        allowed = HIDDEN * cloud.rod_length + LARGEST_OVER_SD * noise
+        # farther off than this an exact contact has another cause than rounding
+        allowed = 1e-8 * cloud.rod_length + LARGEST_OVER_SD * noise
         hidden = int((analysis.contact_error > allowed).sum())
     unresolved = analysis.recording.source.get("unresolved")
     return {"second_contacts": cloud.second, "hidden_second_contacts": hidden, "unresolved": unresolved}

@@ -33,24 +33,10 @@ from scan3d.shown import Described, Rows
 if TYPE_CHECKING:
     import trimesh
 
-# Slices of the first batch, unless the settings say otherwise: as those with which adaptive spacing starts.
-_FIRST_SLICES = 8
-# Sweeps of a further batch.
-SWEEPS = 24
 # Sides from which a new slice is swept.
 _SIDES = 4
-# Slices that are counted on for each new one: how finely slabs will be divided in the end.
-_LEFT_PER_HEIGHT = 3
-# By how much the bounding body is larger than the contacts, where none is stated.
-_AROUND = 0.1
-# Part of the bound above which what the contacts of a slice leave open is closed by sweeps from further directions.
-_WIDE = 0.5
 # Height of the table, in metres.
 _TABLE = 0.0
-# Heights below the table in rod lengths that are rounding.
-_ROUNDING = 1e-6
-# Places that sweeps in space are aimed at for each sweep that is wanted: some cannot be reached from above the table.
-_SPARE = 8
 
 
 class Session(Described):
@@ -79,7 +65,7 @@ class Session(Described):
         **settings: Any,
     ) -> None:
         body = rig.parse_envelope(around) if isinstance(around, str) else around
-        self.plan = rig.RigPlan(body, model, rod=rod, **{"slices": _FIRST_SLICES, **settings})
+        self.plan = rig.RigPlan(body, model, rod=rod, **{"slices": 8, **settings})
         self.plan.resolved_clearance()
         if not tolerance >= 0:
             raise InputError(f"tolerance must be a number >= 0, got {tolerance}")
@@ -88,7 +74,7 @@ class Session(Described):
         self._recordings: list[Recording] = []
         self._last: Analysis | None = None
 
-    def ask(self, sweeps: int = SWEEPS) -> PoseList | None:
+    def ask(self, sweeps: int = 24) -> PoseList | None:
         """The poses of the next sweeps: first those of the plan, then about `sweeps` where most room is left for the body.
 
         None if the tolerance is met, or if no further sweep would add information.  Raises InputError if the contacts so far
@@ -213,7 +199,8 @@ class Session(Described):
         count = max(1, sweeps // _SIDES)
         at_stretches: list[rig.Sweep] = []
         if cloud.convex:
-            heights = next_heights(cloud.fattened or cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
+            # as finely as slabs will be divided in the end
+            heights = next_heights(cloud.fattened or cloud, Plan(), left=3 * count, count=count)
         else:
             outline = self.plan.around.outline()
             for aim in aims(self.recording, cloud)[:sweeps]:
@@ -237,7 +224,7 @@ class Session(Described):
         bounds = self._known.bounds
         if bounds.slabs is None:
             return []
-        wide = (bounds.slabs.kind == Gap.CONTACTS) & (bounds.gap > _WIDE * bounds.gap.max())
+        wide = (bounds.slabs.kind == Gap.CONTACTS) & (bounds.gap > 0.5 * bounds.gap.max())
         levels = bounds.slabs.stack.heights
         if not wide.any():
             return []
@@ -257,7 +244,8 @@ class Session(Described):
     def _aimed(self, sweeps: int) -> list[rig.Sweep]:
         space = self.plan.space()
         random = np.random.default_rng([self._seed, 7, len(self._recordings)])
-        target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, _SPARE * sweeps)
+        # more than are wanted: some cannot be reached from above the table
+        target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, 8 * sweeps)
         lines = rig.lines_to(target * space.length, normal, space, random)[:sweeps]
         return [line.sweep(self.plan.samples) for line in lines]
 
@@ -269,14 +257,14 @@ def around_contacts(recording: Recording, model: str) -> rig.Envelope:
     """
     cloud = reconstruct(recording, model=model)
     low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
-    if low < -_ROUNDING * cloud.rod_length:
+    if low < -1e-6 * cloud.rod_length:
         raise InputError(
             f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that "
             "stands on z = 0 about the "
             "z axis; move the frame of the poses"
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())
-    return rig.Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
+    return rig.Envelope("cylinder", tuple(float(f"{1.1 * size:.4g}") for size in (2 * radius, high)))
 
 
 def _is_level(recording: Recording) -> bool:

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from planar.elastica import bend, partial_shape
 from scan3d.spatial.bodies import Ellipsoid, sphere_directions
@@ -103,12 +102,8 @@ def random_paths(body, count, samples, rng):
     return start[:, None] - 2.6 * size * np.linspace(0, 1, samples)[:, None] * x[:, None], axes
 
 
-def turning(body, count, samples, rng, angle):
-    """Paths past a body whose clamps turn steadily about random axes through the body's middle, by `angle` at most."""
+def curved(body, count, samples, rng, bow):
+    """Paths as of `random_paths`, bowed to parabolas: their middles are displaced at random, by `bow` in each coordinate."""
     position, clamps = random_paths(body, count, samples, rng)
-    turn = rng.normal(size=(count, 3))
-    turn *= (angle * rng.random(count) / np.linalg.norm(turn, axis=1))[:, None]
-    part = np.linspace(-0.5, 0.5, samples)
-    rotation = Rotation.from_rotvec((part[:, None] * turn[:, None]).reshape(-1, 3)).as_matrix()
-    rotation = rotation.reshape(count, samples, 3, 3)
-    return np.einsum("mnij,mnj->mni", rotation, position), np.einsum("mnij,maj->mnai", rotation, clamps)
+    part = np.linspace(0, 1, samples)
+    return position + bow * (4 * part * (1 - part))[:, None] * rng.normal(size=(count, 1, 3)), clamps

@@ -124,11 +124,11 @@ def test_a_rod_that_is_in_the_way_is_reported(egg):
     assert any("in approach or retract" in text for text in log.warnings)
 
 
-def test_paths_that_are_not_planar_need_the_spatial_model(egg):
+def test_sweeps_are_straight(egg):
     poses = planned("planar")
     position = poses.position_m.copy()
     position[poses.sweeps()[2][10:], 2] += 0.003
-    with pytest.raises(InputError, match="unlike in sweep 2; give --model spatial"):
+    with pytest.raises(InputError, match="unlike in sweep 2; cut it"):
         simulate_rig(egg, replace(poses, position_m=position))
 
 

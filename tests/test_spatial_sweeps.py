@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from rods_in_space import (
+    curved,
     elastic_energy,
     follows,
     random_ellipsoid,
@@ -15,7 +16,6 @@ from rods_in_space import (
     shapes,
     slip,
     turned,
-    turning,
 )
 
 import planar
@@ -39,11 +39,11 @@ class Scene(NamedTuple):
     """Rounding of these distances."""
 
 
-def past_ellipsoid(seed, friction, turn=0.0):
-    """An ellipsoid turned at random, past which clamps that lean at random go straight, or turn by an angle at most."""
+def past_ellipsoid(seed, friction, bow=0.0):
+    """An ellipsoid turned at random, past which clamps that lean at random go straight, or in curves."""
     body, semi_axes, axes = random_ellipsoid(seed)
     rng = np.random.default_rng(seed)
-    position, clamps = turning(body, 40, 50, rng, turn) if turn else random_paths(body, 24, 50, rng)
+    position, clamps = curved(body, 40, 50, rng, bow) if bow else random_paths(body, 24, 50, rng)
 
     def gap(points):
         local = points @ axes.T
@@ -79,10 +79,10 @@ def past_cuboid(radius, friction):
 SCENES = {
     **{f"ellipsoid {seed}, {mu}": (past_ellipsoid, seed, mu) for seed in range(4) for mu in (0.0, 0.2, 0.6)},
     **{f"cuboid {radius}, {mu}": (past_cuboid, radius, mu) for radius, mu in ((0.005, 0.3), (0.03, 0.0), (0.03, 0.2))},
-    **{f"turning, {mu}": (past_ellipsoid, 2, mu, 1.5) for mu in (0.0, 0.3)},
+    **{f"curved, {mu}": (past_ellipsoid, 2, mu, 0.1) for mu in (0.0, 0.3)},
 }
 FEW = dict.fromkeys(("ellipsoid 0, 0.0", "ellipsoid 1, 0.2", "ellipsoid 2, 0.6"), ())
-FEW |= dict.fromkeys(("cuboid 0.005, 0.3", "turning, 0.3"), pytest.mark.slow)
+FEW |= dict.fromkeys(("cuboid 0.005, 0.3", "curved, 0.3"), pytest.mark.slow)
 
 
 @pytest.fixture(

@@ -22,7 +22,7 @@ from scan3d.files.text import to_toml
 from scan3d.files.whole import Inputs, check_file, folder, write_atomic
 from scan3d.frames import Frame, euler_of, to_outer, turn_of
 from scan3d.numbers import length
-from scan3d.recording import Recording
+from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
@@ -119,7 +119,7 @@ class Calibration(Described):
         The tare is found in its own rows in the air; `tare` as in `calibrate`, or ``calibration`` for that of the calibration.
         Raises InputError if there are too few rows in the air.
         """
-        six, known = recording.six_axis, recording.noise
+        known = recording.noise
         channels, wrench = six_channels(recording)
         if tare == "calibration":
             wrench = wrench - self.tare
@@ -137,11 +137,7 @@ class Calibration(Described):
             recording,
             position_m=position,
             quaternion=quaternion,
-            force_N=force[:, :2],
-            moment_Nm=moment[:, 2],
-            force_z_N=force[:, 2] if six else None,
-            moment_x_Nm=moment[:, 0] if six else None,
-            moment_y_Nm=moment[:, 1] if six else None,
+            **reaction_columns(force, moment, recording.six_axis),
             rod=self.rod,
             noise_force_N=force_noise,
             noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
@@ -326,12 +322,10 @@ OF_CONTACTS = (
     *(f"curvature_{axis}_per_m" for axis in "zx"),
 )
 """The quantities of a calibration that change contacts."""
-# Expanded uncertainties up to which a quantity counts as well determined: relative for the stiffness, relative to the rod's
-# length for lengths, in degrees, for the tare in standard deviations of the noise of a row, for the tip's diameter over the
-# clamp's, and for curvatures over the rod's length.
-_STIFFNESS, _LENGTH, _DEGREES, _NOISE, _TIP, _CURVATURE = 0.01, 0.005, 0.3, 1.0, 0.03, 0.02
-# Step of difference quotients, and the part of the largest derivative of a quantity that is their rounding.
-_STEP, _ROUNDING = 1e-5, 1e-7
+# Expanded uncertainty in degrees up to which an angle counts as well determined.
+_DEGREES = 0.3
+# Step of difference quotients.
+_STEP = 1e-5
 
 
 def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
@@ -379,7 +373,8 @@ def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, 
     slopes = np.column_stack(columns)
     angles, half_turn = [name.endswith("_deg") for name in names], 180 / _STEP
     slopes[angles] = (slopes[angles] + half_turn / 2) % half_turn - half_turn / 2
-    slopes[np.abs(slopes) < _ROUNDING * np.abs(slopes).max(axis=1, keepdims=True)] = 0
+    # less is their rounding
+    slopes[np.abs(slopes) < 1e-7 * np.abs(slopes).max(axis=1, keepdims=True)] = 0
     free = fit.problem.free
     known = ~(slopes[:, ~free] != 0).any(axis=1)
     if fit.problem.channels.all() and not free[TURN + 1]:  # the sensor's place across the rod turns with it
@@ -388,19 +383,22 @@ def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, 
 
 
 def limit(name: str, value: float, nominal: Rod, fit: Fit) -> float:
-    """The expanded uncertainty up to which a quantity is well determined."""
+    """The expanded uncertainty up to which a quantity is well determined: 1 % of the stiffness, 0.5 % of the rod for lengths.
+
+    The tare is then known to the noise of a row, the tip's diameter to 3 % of the clamp's, curvatures to 0.02 over the length.
+    """
     if name.startswith("bending"):
-        return _STIFFNESS * value
+        return 0.01 * value
     if name.startswith(("tare", "drift")):
         force, moment = nominal.force_unit_N * fit.noise.force, nominal.moment_unit_Nm * fit.noise.moment
-        return _NOISE * (force if name.endswith("_N") else moment)
+        return force if name.endswith("_N") else moment
     if name.startswith(("tip_diameter", "curvature")):
-        return _TIP if name.startswith("tip") else _CURVATURE / nominal.length_m
+        return 0.03 if name.startswith("tip") else 0.02 / nominal.length_m
     if name.startswith("plane_normal"):
         return float(np.radians(_DEGREES))
     if name.endswith("_deg"):
         return _DEGREES
-    return _LENGTH * nominal.length_m * (1000 if name.endswith("_mm") else 1)
+    return 0.005 * nominal.length_m * (1000 if name.endswith("_mm") else 1)
 
 
 def lacking(fit: Fit, names: tuple[str, ...], deviations: Array, limits: Array, spoiled: bool) -> tuple[str, ...]:

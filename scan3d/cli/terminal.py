@@ -13,8 +13,6 @@ from typing import Any
 from scan3d.cli.options import Output
 from scan3d.processes import undone_if_ended
 
-# Characters of a label: the longest label, "Hausdorff distance", fits exactly.
-_LABEL = 18
 # The key figure of a value: the text before the first comma or parenthesis.
 _KEY = re.compile(r"[^,(]*[^,( ]")
 # Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
@@ -82,7 +80,7 @@ def table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
         shown = printable(value)
         key = _KEY.match(shown)
         end = key.end() if key else 0
-        lines.append(f"{label:{_LABEL}} {bold}{shown[:end]}{off}{shown[end:]}")
+        lines.append(f"{label:{18}} {bold}{shown[:end]}{off}{shown[end:]}")
     return "\n".join(lines)
 
 

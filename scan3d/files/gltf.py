@@ -32,8 +32,6 @@ _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 # Beginnings of the names of extensions that a file may require: those that concern its looks only, and one that is read.
 _READ = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
-# Part of the size that a file states by which its positions may lie elsewhere: some programs round the size.
-_MISSTATED = 0.01
 _AXES = "x, z and -y of the world"
 
 
@@ -203,7 +201,8 @@ class _Content:
         if "min" in position and "max" in position and len(stored):
             low, high = np.array(position["min"], dtype=float), np.array(position["max"], dtype=float)
             off = np.abs([stored.min(axis=0) - low, stored.max(axis=0) - high]).max()
-            if off > _MISSTATED * np.linalg.norm(high - low):
+            # some programs round the size
+            if off > 0.01 * np.linalg.norm(high - low):
                 raise InputError(
                     f"its positions leave the box that it states for them by {off:.3g}: it is damaged, or its byteStride is "
                     "wrong; export it again"

@@ -32,8 +32,6 @@ OPEN_TOLERANCE = 1e-3
 # What scan3d writes on the unit at the beginning of a PLY, an STL or an OBJ, and how many bytes are searched for it.
 _UNIT = re.compile(rb"(?m)(?:scan3d surface\W+|^comment )unit (%s)\b" % "|".join(UNITS_M).encode())
 _HEAD = 1 << 12
-# Memory while a mesh is read, per byte of its file.
-_MEMORY_PER_BYTE = 10
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "mm") -> trimesh.Trimesh:
@@ -273,7 +271,7 @@ def _read(path: Path) -> bytes:
     if path.suffix[1:].lower() not in FORMATS:
         raise InputError(f"{path.name} isn't a mesh file by its ending, which should be one of .{', .'.join(FORMATS)}")
     try:
-        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
+        check_file(path, memory_per_byte=10)
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path.name} can't be read: {error.strerror or error}; check its permissions") from error

@@ -20,7 +20,7 @@ from scan3d.files.reading import read_rod, read_section, rod_section
 from scan3d.files.recordings import SCHEMA, TABLE, recording_files, sidecar
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
-from scan3d.files.whole import Inputs, check_pair, check_path, write_together
+from scan3d.files.whole import Inputs, check_file, check_pair, write_together
 from scan3d.poses import MOVES, SPEED_M_S, PoseList
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -113,7 +113,6 @@ RAW_COLUMNS = (
     *("Tx_Nmm", "Ty_Nmm", "Tz_Nmm"),
     "sweep",
 )
-_MARK = "# The map of a log of scan3d simulate"
 
 
 def map_path(path: str | Path) -> Path:
@@ -124,16 +123,8 @@ def map_path(path: str | Path) -> Path:
 
 def check_log(path: str | Path, inputs: Inputs, overwrite: bool) -> None:
     """Raise InputError if a log with faults must not be written at the path, with its map beside it."""
-    path, beside = Path(path), map_path(path)
-    for file in (path, beside):
-        check_path(file, inputs, "--out")
-    ours = beside.exists() and beside.read_bytes().startswith(_MARK.encode())
-    for file in (beside, path):
-        if file.exists() and not ours and not overwrite:
-            raise InputError(
-                f"{file} can't be recognised as written by scan3d; give --overwrite to replace it, or choose another place "
-                "with --out"
-            )
+    check_file(map_path(path), inputs, overwrite, "--out")
+    check_file(path, inputs, overwrite, "--out", ",".join(RAW_COLUMNS).encode())
 
 
 def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8], path: str | Path) -> None:
@@ -165,7 +156,7 @@ def write_log(
     forms = ["%.10g"] * (len(RAW_COLUMNS) - 1) + ["%d"]
     np.savetxt(text, np.stack([columns[name] for name in RAW_COLUMNS], axis=1), forms, ",")
     note = (
-        f"{_MARK}.  The column sweep has the numbers of the planned sweeps, and -1 between them;\n"
+        "# The map of a log of scan3d simulate.  The column sweep has the numbers of the planned sweeps, and -1 between them;\n"
         "# it is not named here, because the log of a rig seldom has it.\n"
     )
     meta: dict[str, Any] = {

@@ -28,8 +28,6 @@ from scan3d.units import unit_of_cell
 
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 8
-# Lines at the beginning of a table in which its names and its first data are looked for.
-_LOOKED_AT = 100
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
@@ -230,7 +228,8 @@ def guessed_layout(path: Path) -> Layout:
 
 
 def _first_lines(name: str, text: str) -> list[str]:
-    lines = [line.rstrip("\n") for line in islice(io.StringIO(text, newline=None), _LOOKED_AT)]
+    # those in which the names and the first data are looked for
+    lines = [line.rstrip("\n") for line in islice(io.StringIO(text, newline=None), 100)]
     if not any(line.strip() for line in lines):
         raise InputError(f"{name} is empty; expected a table with one row per sample")
     if "\0" in "".join(lines):

@@ -25,8 +25,8 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.triangles import dot
 
 # Neighbours of a point that are tried on every level of the search, by how many times the points of one level exceed those of
-# the next, and neighbours of a vertex of the hull that the search moves to: it starts near its end, which few moves reach.
-_NEIGHBOURS, _THINNED, _DEGREE, _MOVES = 12, 6, 12, 40
+# the next, and neighbours of a vertex of the hull that the search moves to.
+_NEIGHBOURS, _THINNED, _DEGREE = 12, 6, 12
 # Points that are searched at once, which limits the memory.
 _BLOCK = 8192
 
@@ -202,7 +202,8 @@ def _climb(value: Callable[[Index], Array], starts: Index, adjacent: Index) -> A
         return np.take_along_axis(trial, column, 1)[:, 0], np.take_along_axis(numbers, column, 1)[:, 0]
 
     best, here = best_of(starts)
-    for _ in range(_MOVES):
+    # it starts near its end, which few moves reach
+    for _ in range(40):
         reached, there = best_of(adjacent[here])
         better: Mask = reached > best
         if not better.any():

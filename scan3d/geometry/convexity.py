@@ -56,32 +56,21 @@ from scan3d.geometry.triangles import (
 if TYPE_CHECKING:
     import trimesh
 
-# Rounding of the sine of an edge's angle, divided by the slenderness of its faces, in units of the last place.
-_ROUNDING = 8
-# Largest error of the number of turns, and of coordinates of unit size.
-_MISSING_TURN, _COORDINATES = 1e-6, 1e-15
-# Largest product s R of the proof above: larger bounds are of no use.
-_LARGEST_EXCESS = 0.1
+# Rounding of coordinates of unit size.
+_COORDINATES = 1e-15
 CONVEX_DEPTH = NEGLIGIBLE
 """A surface less deep than this below its hull counts as convex: such depths are rounding."""
 NEAR_CONVEX_DEPTH = 1e-4
 """A surface with more faces deeper than this than can be examined counts as not convex."""
-# Distances between faces and planes that are computed for one surface at most, which limits the time.
-_MAX_DISTANCES = 200_000_000
-# Largest fraction of the full solid angle that may lack a surface, and its rounding, which is added to it in an open surface.
-_MAX_HOLE, _HOLE_ROUNDING = 1e-6, 1e-14
 DENT_TOLERANCE = 1e-5
 """Deepest dent of a body that counts as convex: touch cannot tell it from its hull, and float32 files of fine meshes and CAD
 exports have dents of 1e-7 to 1e-6 from rounding alone."""
-DENT_PRECISION = 1e-3
-"""Relative error of the depth of a dent."""
 NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
 """Depth below which a dent is not determined, because it is rounding."""
 HULL_OF_MESH = "convex hull of the mesh"
 """What a body is called that was taken in the place of a mesh that is not convex."""
-# Distances of probes from planes in one step of the search, the fewest triangles that are probed in one, and triangles that are
-# halved in one while no dent is known, which takes as long as the probes.
-_PROBES, _FEWEST_PROBED, _SPLITS = 2_000_000, 4, 4_000
+# Distances of probes from planes in one step of the search for the deepest dent.
+_PROBES = 2_000_000
 # Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.
 _NEARBY = 0.02
 
@@ -143,14 +132,16 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Inde
     outwards, big_r = 1.0 if depths.sum() > 0 else -1.0, float(lengths.max())
     edges = np.roll(corners, -1, axis=1) - corners
     # a normal is wrong by rounding times the longest edge divided by the height above it, length² / (2 area)
-    error = _ROUNDING * np.finfo(np.float64).eps * largest_of_three(dot(edges, edges)) / (2 * area)
+    # to 8 units in the last place
+    error = 8 * np.finfo(np.float64).eps * largest_of_three(dot(edges, edges)) / (2 * area)
     depth = (outwards * depths).min(axis=1) - big_r * error
-    if depth.min() <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
+    if depth.min() <= _COORDINATES or abs(outwards * turns(rays) - 1) > 1e-6:  # of a turn
         return unproven
     number, sines = _reflex_edges(opposite, edges, outwards * normals, error, outwards)
     steepest = depth[number // 3] * depth[opposite.ravel()[number] // 3]
     excess = float((sines * lengths.ravel()[number] / steepest).sum()) / 2 * big_r
-    if excess > _LARGEST_EXCESS:
+    # larger bounds are of no use
+    if excess > 0.1:
         return unproven
     heights = largest_of_three(dot(corners, outwards * normals[:, None]))
     planes = np.column_stack([outwards * normals, heights + 2 * big_r * (error + excess) + _COORDINATES])
@@ -210,10 +201,7 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
     normals = unit_or_zero(cross)
     # Closed: every directed edge meets its reverse, so that the boundary is zero as a chain.
     opposite = opposite_edges(faces)
-    closed = opposite is not None
-    if not closed:
-        start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
+    closed = opposite is not None or runs_both_ways(faces)
     volume = abs(float(dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
     return Facets(vertices, faces, corners, normals, closed, volume, opposite)
 
@@ -280,17 +268,18 @@ def against_hull(facets: Facets) -> tuple[Array, float]:
     big_r = float(np.linalg.norm(vertices - c, axis=1).max())
 
     missing = abs(abs(turns(corners - c)) - 1)
-    if r <= 0 or missing > _MAX_HOLE:
+    if r <= 0 or missing > 1e-6:  # of the full solid angle, rounding included
         return unbounded
     # The part that an open surface leaves uncovered has room for a disc of this radius; a closed surface covers everything.
-    hole = 0.0 if closed else 2 * np.sqrt(missing + _HOLE_ROUNDING) * big_r
+    hole = 0.0 if closed else 2 * np.sqrt(missing + 1e-14) * big_r
 
     outward = normals * np.where(dot(middles - c, normals) < 0, -1, 1)[:, None]
     chosen = cKDTree(planes[:, :3], balanced_tree=False).query(outward, workers=-1)[1]
     depth = planes[chosen, 3] - dot(planes[chosen, :3], middles)
     # The normal of a sliver is rounding, and may choose a plane far away.  All planes are tried on the deepest faces.
     order = np.argsort(-depth)
-    trials = max(1, _MAX_DISTANCES // len(planes))
+    # so many distances of planes at most, which limits the time
+    trials = max(1, 200_000_000 // len(planes))
     if depth[order[trials - 1 :]].max(initial=0.0) > NEAR_CONVEX_DEPTH:
         return unbounded
     deepest = order[:trials][depth[order[:trials]] > CONVEX_DEPTH / 10]
@@ -349,7 +338,7 @@ def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
     upper = _bounds(corners, hull)
     deepest, excluded, where = 0.0, 0.0, corners[np.argmax(upper), 0]
     while True:
-        remaining = upper > max((1 + DENT_PRECISION) * deepest, NEGLIGIBLE_DENT)
+        remaining = upper > max(1.001 * deepest, NEGLIGIBLE_DENT)
         excluded = max(excluded, float(upper[~remaining].max(initial=0.0)))
         if not remaining.any():
             return max(deepest, excluded), where
@@ -357,7 +346,7 @@ def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
         order = np.argsort(-upper)
         corners, upper = corners[order], upper[order]
 
-        count = max(_FEWEST_PROBED, _PROBES // (4 * (len(hull.planes) + 3 * len(upper))))
+        count = max(4, _PROBES // (4 * (len(hull.planes) + 3 * len(upper))))
         probes = np.concatenate([corners[:count].reshape(-1, 3), corners[:count].mean(axis=1)])
         depths = _depths(probes, hull.planes)
         depth, nearest = depths.min(axis=1), np.unique(depths.argmin(axis=1))
@@ -365,7 +354,8 @@ def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
             deepest, where = float(depth.max()), probes[depth.argmax()]
 
         shallow = deepest <= DENT_TOLERANCE
-        count = _SPLITS if shallow else count
+        # while no dent is known, many are halved, which takes as long as the probes
+        count = 4_000 if shallow else count
         longest = longest_first(corners[:count])[:, :, None]
         halves = halve(np.take_along_axis(corners[:count], longest, axis=1))[0]
         bounds = np.tile(upper[:count], 2)

@@ -27,15 +27,10 @@ if TYPE_CHECKING:
     import trimesh
 
 
-TRIED_FACES = 4
-"""Faces that `Search.near` tries for each point: more take longer; with fewer, the face that is found is more often not the
-nearest one, and the bounds that rest on it are wider."""
 # Points whose nearest ones are sought at once.
 _QUERIES = 100_000
 # Largest coordinate, and the inverse of the smallest extent.
 _LARGEST = 1e100
-# A triangle whose height is less than this fraction of its longest edge counts as degenerate.
-_DEGENERATE = 1e-14
 
 
 def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
@@ -150,11 +145,11 @@ class Search:
         self._tree = cKDTree(middles, balanced_tree=False)  # balancing is slow where many share a coordinate
         self._locate = locator(corners)
 
-    def near(self, points: Array, tried: int = TRIED_FACES) -> tuple[Array, Index, Array]:
+    def near(self, points: Array, tried: int = 4) -> tuple[Array, Index, Array]:
         """Quick estimates: distances (p,) of points (p, 3) from a triangle nearby, the number (p,) of that triangle, and lower
         bounds (p,) of the distances from the nearest one.
 
-        The triangle is the nearest of those that are `tried`, the ones with the nearest middles.
+        The triangle is the nearest of those that are `tried`, the ones with the nearest middles; fewer make wider bounds.
         """
         ranks = list(range(1, min(tried, self._tree.n) + 1))
         to_middle, faces = self._tree.query(points, k=ranks, workers=-1)
@@ -193,7 +188,7 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     # VTK passes over triangles without area, so they are represented by their longest edge.  It counts lines before
     # triangles.
     length = np.linalg.norm(triangles[:, 1] - triangles[:, 0], axis=1)
-    degenerate = 2 * areas(triangles) <= _DEGENERATE * length**2
+    degenerate = 2 * areas(triangles) <= 1e-14 * length**2
     order = np.argsort(~degenerate, kind="stable")
     index = np.arange(3 * len(triangles)).reshape(-1, 3)
     points, data, locator = vtkPoints(), vtkPolyData(), vtkStaticCellLocator()

@@ -41,14 +41,8 @@ ROUNDING = 1e-15
 # The bounds are not improved further where their difference is less than this fraction of the distance, or less than this
 # number of diagonals.
 RELATIVE_GAP = 1e-3
-# Largest number of triangles that are split in one direction.
-MAX_SPLITS = 40_000
 # Triangles that are split at once.
 BATCH = 4096
-# Vertices that are examined first; the number is doubled from batch to batch.
-_FIRST_VERTICES = 16
-# Fraction of the lower bound that the slack of a nearly convex target may reach.
-_MAX_SLACK = RELATIVE_GAP / 10
 
 
 class Side(NamedTuple):
@@ -120,7 +114,7 @@ def _at_vertices(pairs: tuple[tuple[Body, Body], ...]) -> tuple[list[tuple[Array
         """
         largest = []
         for (source, target), (distance, face), exactly in zip(pairs, quick, known, strict=True):
-            batch = _FIRST_VERTICES
+            batch = 16  # doubled from batch to batch
             while True:
                 threshold = max(floor, (1 + gap) * distance[exactly].max(initial=0.0)) + ROUNDING
                 rest = np.flatnonzero(~exactly & (distance > threshold))
@@ -149,7 +143,7 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
         an upper bound of the result that is already known.
     """
     lower, point, settled = vertices
-    convex = target.slack <= _MAX_SLACK * lower
+    convex = target.slack <= RELATIVE_GAP / 10 * lower  # nearly
     slack = target.slack if convex else 0.0
 
     def bound(corners: Array, faces: Index) -> tuple[Array, Index]:
@@ -178,7 +172,7 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
         matters = above + slack > lower + gap()
         settled = max(settled, float(above[~matters].max(initial=0.0)))
         corners, faces, above = corners[matters], faces[matters], above[matters]
-        if len(above) == 0 or splits >= MAX_SPLITS or upper - lower <= gap():
+        if len(above) == 0 or splits >= 40_000 or upper - lower <= gap():
             highest = max(lower, settled, float(above.max(initial=0.0)))
             return Side(lower, point, max(lower, min(upper, highest + slack)))
         order = np.argsort(-above)

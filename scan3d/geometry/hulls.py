@@ -16,9 +16,6 @@ from scan3d.geometry.distance import locator, nearest
 from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.geometry.triangles import distance_to, dot, longest_first, representatives, spanned, without_unused
 
-# Points closer than this fraction of their extent are merged if their hull is not a closed surface.
-_COINCIDENT = 1e-11
-
 
 def hull(points: Array) -> Any:
     """Convex hull of points (n, 3) as a `trimesh.Trimesh` with outward faces.
@@ -28,8 +25,8 @@ def hull(points: Array) -> Any:
     qhull = _spanned_hull(points)[0]
     faces = outward_facets(qhull)
     if faces is None:
-        # between points that nearly coincide Qhull leaves edges with one face, or with three
-        apart = np.unique(representatives(qhull.points, _COINCIDENT))
+        # between points that coincide to 1e-11 of their extent Qhull leaves edges with one face, or with three
+        apart = np.unique(representatives(qhull.points, 1e-11))
         return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
     return _mesh(points, faces)
 

@@ -10,14 +10,8 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, highest
 from scan3d.geometry.triangles import areas
 
-# Distance, in sizes of the body, of the planes that close a polytope.
-_FAR = 2.0
-# Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.
-_ROUNDS, _AT_ONCE = 20, 500
 # Points that a plane face has at least.
 _FACE_POINTS = 6
-# Groups of facets that are tried at most, those with the largest facets first.
-_FACES = 400
 
 
 def plane_faces(points: Array, tolerance: float) -> Array:
@@ -35,7 +29,8 @@ def plane_faces(points: Array, tolerance: float) -> Array:
     first = order[np.r_[True, np.diff(group[order]) > 0]]
     linked = first[np.bincount(group)[group[first]] > _FACE_POINTS // 2]
     faces: list[Array] = []
-    for plane in planes[linked[np.argsort(-area[linked], kind="stable")]][:_FACES]:
+    # those with the largest facets first
+    for plane in planes[linked[np.argsort(-area[linked], kind="stable")]][:400]:
         depth = plane[3] - points[qhull.vertices] @ plane[:3]
         near = points[qhull.vertices[depth <= tolerance]]
         known = any((np.abs(face[3] - near @ face[:3]) <= tolerance).all() for face in faces)
@@ -55,16 +50,16 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
         depth of the smallest cut that is made.
     """
     box = np.concatenate([np.eye(3), -np.eye(3)])
-    planes = np.concatenate([first, np.column_stack([box, box @ inside + _FAR * size])])
+    planes = np.concatenate([first, np.column_stack([box, box @ inside + 2 * size])])
     used = np.zeros(len(others), dtype=bool)
     vertices = _vertices(planes, inside)
-    for _ in range(_ROUNDS):
+    for _ in range(20):
         if not len(others):
             break
         # one vertex after another has the same planes through it, so each plane is added once
         deepest, depth = _deepest_cuts(vertices, others)
         order = np.argsort(-depth, kind="stable")
-        added = np.unique(deepest[order[depth[order] > tolerance]][:_AT_ONCE])
+        added = np.unique(deepest[order[depth[order] > tolerance]][:500])
         added = added[~used[added]]
         if not len(added):
             break

@@ -35,28 +35,18 @@ from scan3d.geometry.hulls import hull_near
 
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
-# Rounds in which the normals follow the fit. Each improves them by a factor of ten or more and takes as long as the first; with
-# fewer, the rough normals of the contacts show in the fit.
-_ROUNDS = 3
-# Steps in which directions follow the fit, and the damping of a step.
-_TURNS, _DAMPING = 3, 0.8
-# Steps of noisy contacts, whose normals may be wrong by more than a right angle at first.
-_NOISY_TURNS = 10
+# Steps in which directions follow the fit.
+_TURNS = 3
 # Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where normals
 # are rough, and later.
 _POSITION_WEIGHT = (0.1, 0.02)
-# Weight of the table on which a body stands, relative to that of all contacts together.
-_TABLE_WEIGHT = 1e3
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points. One more divides the distance
-# of the facets from the body by four and multiplies the number of vertices by four; one fewer does the opposite.
-_SUBDIVISIONS = 6
 # Points that are evaluated at once.
 _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
 _RIDGE = 1e-11
-# Values of λ that are compared, and the factors by which they reach beyond those that damp the roughest and the smoothest
-# combination of harmonics by half.
-_DAMPINGS, _BEYOND = 100, 1e3
+# By how much the values of λ that are compared reach beyond those that damp the roughest and the smoothest combination of
+# harmonics by half.
+_BEYOND = 1e3
 
 # Changes real and imaginary parts (2, n) into those of the conjugate.
 _CONJUGATE = np.array([[1.0], [-1.0]])
@@ -125,7 +115,8 @@ def fit_support(
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = unit(normals[::step] @ shape)
     coefficients = np.zeros((degree + 1) ** 2)
-    for rounds_done in range(_ROUNDS):
+    # each round improves the normals by a factor of ten or more
+    for rounds_done in range(3):
         weight = _POSITION_WEIGHT[min(rounds_done, 1)]
         normal_matrix, right, square = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients)), 0.0
         for first in range(0, len(mapped), _BLOCK):
@@ -144,7 +135,8 @@ def fit_support(
             square += float(aim @ aim)
         if table is not None:
             row, height = _standing(center, shape, degree, table)
-            heavy = _TABLE_WEIGHT * np.trace(normal_matrix) / float(row @ row)
+            # the table counts more than all contacts together
+            heavy = 1e3 * np.trace(normal_matrix) / float(row @ row)
             normal_matrix += heavy * np.outer(row, row)
             right += heavy * height * row
             square += heavy * height**2
@@ -154,7 +146,8 @@ def fit_support(
         else:
             coefficients = _smoothed(normal_matrix, right, square, len(mapped), degree)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
-        directions = _follow(fitted._gradient, mapped, directions, _TURNS if sd is None else _NOISY_TURNS)
+        # noisy normals may be wrong by more than a right angle at first
+        directions = _follow(fitted._gradient, mapped, directions, _TURNS if sd is None else 10)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
 
@@ -167,7 +160,7 @@ def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, de
     roughness, modes = eigh(np.diag(_roughness(degree)), normal_matrix)
     roughness, along = np.maximum(roughness, 0.0), modes.T @ right
     rough = roughness[roughness > _RIDGE * roughness[-1]]
-    damping = np.geomspace(1 / (_BEYOND * rough[-1]), _BEYOND / rough[0], _DAMPINGS)
+    damping = np.geomspace(1 / (_BEYOND * rough[-1]), _BEYOND / rough[0], 100)
     kept = 1 / (1 + np.outer(damping, roughness))
     misfit = square - ((2 - kept) * kept) @ along**2
     best = np.argmin(misfit / (number - kept.sum(axis=1)) ** 2)
@@ -195,7 +188,8 @@ def fitted_body(fit: SupportFit) -> Any:
     from trimesh.creation import icosphere
 
     # spread evenly over the ball-like body to which the fit maps its own, so that needles and discs get even facets as well
-    sphere = icosphere(subdivisions=_SUBDIVISIONS)
+    # one subdivision more divides the distance of the facets from the body by four
+    sphere = icosphere(subdivisions=6)
     normals = unit(sphere.vertices.view(np.ndarray) @ np.linalg.inv(fit.shape))
     points = fit.points(normals)
     faces = sphere.faces.view(np.ndarray)
@@ -295,7 +289,7 @@ def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array, 
     for _ in range(turns):
         offset = points - gradient(directions)
         offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
-        directions = unit(directions + _DAMPING * offset)
+        directions = unit(directions + 0.8 * offset)
     return directions
 
 

@@ -16,9 +16,6 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index, Mask, unit_or_zero
 
-# Points and triangles whose offsets are computed at once.
-_AT_ONCE = 8000
-
 # The corners of a triangle from each of them on.
 _FROM_CORNER = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
 
@@ -94,7 +91,8 @@ def offset_from(points: Array, corners: Array) -> Array:
     shape = np.broadcast_shapes(points.shape[:-1], corners.shape[:-2])
     offset = np.empty((*shape, 3))
     points, corners = np.broadcast_to(points, offset.shape), np.broadcast_to(corners, (*shape, 3, 3))
-    rows = max(1, _AT_ONCE // max(1, int(np.prod(shape[1:]))))
+    # so many at once as the processor's cache holds
+    rows = max(1, 8000 // max(1, int(np.prod(shape[1:]))))
     for first in range(0, shape[0], rows):
         part = slice(first, first + rows)
         offset[part] = _offsets(points[part], corners[part])
@@ -176,8 +174,6 @@ def mirrored_faces(faces: Index) -> Mask | None:
 
 # Decimals by which trimesh tells vertices apart (`trimesh.tol.merge`). It is a convention of that program, and no choice.
 _READERS_DECIMALS = 1e-8
-# Distance up to which vertices are merged for their readers, relative to the diagonal.
-_LARGEST = 1e-5
 
 
 def distance_of_readers(points: Array) -> float:
@@ -190,7 +186,7 @@ def distance_of_readers(points: Array) -> float:
     single = float(np.finfo(np.float32).eps) * float(np.abs(points).max())
     for spacing in (max(single, _READERS_DECIMALS), _READERS_DECIMALS):
         distance = float(np.sqrt(3) * spacing)
-        if distance <= _LARGEST * size:
+        if distance <= 1e-5 * size:  # more would be seen
             return distance
     return 0.0
 

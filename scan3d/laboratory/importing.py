@@ -30,7 +30,7 @@ from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
 from scan3d.numbers import share
 from scan3d.reconstruction.errors import FORCE_SIGMAS
-from scan3d.recording import Recording
+from scan3d.recording import Recording, reaction_columns
 from scan3d.ringing import ringing
 from scan3d.spatial import inverse
 
@@ -379,17 +379,12 @@ def _recording(
     known: Mask,
 ) -> Recording:
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
-    z, x, y = wrench[:, 2:5].T if known.all() else (None, None, None)
     return Recording(
         sweep=sweep,
         position_m=position,
         quaternion=quaternion,
-        force_N=wrench[:, :2],
-        moment_Nm=wrench[:, 5],
+        **reaction_columns(wrench[:, :3], wrench[:, 3:], bool(known.all())),
         rod=map.rod,
-        force_z_N=z,
-        moment_x_Nm=x,
-        moment_y_Nm=y,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         noise_pose_m=map.noise_pose_m or 0.0,

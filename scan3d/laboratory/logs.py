@@ -18,8 +18,6 @@ from scan3d.laboratory.maps import Map, Orientation, Reference
 from scan3d.poses import MOVES, Move
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 
-# Angles count on beyond a turn on some rigs; so many turns are an error.
-_LARGEST_ANGLE = 1e6
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
@@ -206,7 +204,8 @@ def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
     count = {"quaternion": 4, "rotvec": 3, "matrix": 9}.get(orientation.kind, len(orientation.convention))
     quantity = "" if orientation.kind in ("quaternion", "matrix") else "angle"
     values = _vectors(table, map, orientation.columns, count, quantity, f"orientation.{orientation.kind}")
-    if quantity and (largest := float(np.nanmax(np.abs(values), initial=0.0))) > _LARGEST_ANGLE:
+    # angles count on beyond a turn on some rigs, but not so many
+    if quantity and (largest := float(np.nanmax(np.abs(values), initial=0.0))) > 1e6:
         raise InputError(
             f"{table.name} has an angle of {largest:.3g} rad, {largest / (2 * np.pi):.3g} turns; check "
             f"{_entry(map, 'orientation')}, and [units] angle"

@@ -21,8 +21,6 @@ from scan3d.laboratory.maps import Map
 _OVER_JITTER = 20.0
 # The clamp turns if its axes change by more than this many radians over a displacement.
 _TURNING = 0.02
-# Angle in radians to the x axis within which a sweep is along it.
-_SWEEPS_ALONG = 0.3
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -212,8 +210,8 @@ def check_directions(
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
     held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
-    # retracts and strokes back hold contacts as well, but not most of them
-    if len(known) and (known < _SWEEPS_ALONG).mean() >= 0.5 and held >= 0.2:
+    # retracts and strokes back hold contacts as well, but not most of them; a sweep is along the axis within 0.3 rad
+    if len(known) and (known < 0.3).mean() >= 0.5 and held >= 0.2:
         return
     axis = _usual_axis(np.where(touched, 0, -1) if held < 0.2 else sweep, position, quaternion)
     advice = (

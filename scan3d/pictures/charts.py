@@ -141,10 +141,6 @@ def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float
     axes.set_title(figures.wrapped(text, width, sheet), fontsize=sheet.font - 1)
 
 
-# Standard deviations of an error bar to each side: an expanded uncertainty with the coverage factor 2, about 95 %.
-_COVERAGE = 2.0
-
-
 def sweep_picture(found: SweepContacts, path: str | Path) -> None:
     """Draw contour and friction of a sweep into a .png or a .pdf."""
     with figures.own_style():
@@ -177,10 +173,11 @@ def sweep_figure(found: SweepContacts) -> Any:
     if found.noisy:
         chosen = np.flatnonzero(found.touching)
         some = chosen[parts.evenly_chosen(len(chosen), 60)]  # more would merge into an area
-        sd, x = _COVERAGE * scale * found.point_sd[some], points[some, 0]
+        # an expanded uncertainty, about 95 %
+        sd, x = 2 * scale * found.point_sd[some], points[some, 0]
         bars: dict[str, Any] = {"fmt": "none", "ecolor": parts.UNKNOWN, "elinewidth": 0.8, "zorder": 0}
         above.errorbar(x, points[some, 1], sd[:, 1], sd[:, 0], **bars)
-        below.errorbar(x, friction[some], _COVERAGE * found.friction_sd[some], **bars)
+        below.errorbar(x, friction[some], 2 * found.friction_sd[some], **bars)
     return figure
 
 

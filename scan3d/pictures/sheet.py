@@ -18,8 +18,6 @@ WITH_OTHER = ("surface", "compare", "histogram")
 """Views that show the surface, and thereby another surface that it is compared with."""
 # A picture is two columns of a paper wide, in inches, has letters of 12 points, and is sharp in print and on screens.
 WIDTH, FONT, DPI = 7.0, 12.0, 200
-# Journals ask for letters of at least so many points.
-_SMALLEST_FONT = 8.0
 # Graphics drivers stop at twice as many pixels along a side, which is what is rendered.
 _MOST_PIXELS = 8192
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0, "pt": 1 / 72}
@@ -73,7 +71,8 @@ class Sheet:
     def font(self) -> float:
         """Size of letters in points, in proportion to the width, and to the height of a low picture."""
         part = self.width / WIDTH if self.height is None else min(self.width / WIDTH, self.height / 3.2)
-        return min(FONT, max(_SMALLEST_FONT, FONT * part))
+        # journals ask for no less
+        return min(FONT, max(8.0, FONT * part))
 
     @property
     def em(self) -> float:

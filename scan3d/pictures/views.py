@@ -19,9 +19,8 @@ from scan3d.pictures.scene import Scene
 from scan3d.pictures.sheet import CHARTS, Sheet
 
 PICTURES = (".png", ".pdf", ".svg")
-# In sizes of letters: the margin around a picture, the room of a colour bar or a legend before it is measured, and that of a
-# title above a picture.
-_MARGIN, _BESIDE, _TITLE = 0.8, 8.0, 1.8
+# In sizes of letters: the margin around a picture, and the room of a colour bar or a legend before it is measured.
+_MARGIN, _BESIDE = 0.8, 8.0
 # The line and the contacts of the sweep are moved toward the camera by this fraction of the size, so that no parts of the line
 # are hidden in the body.
 _FORWARD = 0.01
@@ -125,7 +124,7 @@ def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     canvases = [_canvas(scene.corners, sheet) for _ in range(2)]
     canvases[0].add_body(scene.truth, parts.BODY)
     canvases[1].add_body(mesh, parts.BODY if shaded is None else shaded.rgb, edges=scene.surface)
-    title, gap = _TITLE * sheet.em, _MARGIN * sheet.em
+    title, gap = 1.8 * sheet.em, _MARGIN * sheet.em
     figure = _sized(canvases[0], sheet, 0.5, above=title)
     right = sheet.width if shaded is None else figures.color_bar(figure, shaded, sheet)
     left, bottom, width, height = _place(figure, sheet, right)

@@ -53,31 +53,15 @@ TIP_FACTOR = 9.0
 FARTHEST = 0.8
 """Largest distance of the clamp from the bounding body, in rod lengths.  Farther away, hardly any of the rod is left to touch
 with."""
-# Distance that the rod keeps from the bounding body outside of sweeps, in rod lengths, and no more than the clearance.
-_MARGIN = 0.05
-# Height above the table that clamp and rod keep by default, in heights of the bounding body, and in diameters of the rod.
-_FLOOR, _FLOOR_DIAMETERS = 0.02, 2.0
 # Sweeps of each slice, from directions evenly around it.
 _SIDES = 4
-# Lines from each direction in space, per slice of the plan, as in the scan of a known body.
-_LINES_PER_SLICE = 0.6
-# Directions of the rasters in space that lie above the table.
-_DIRECTIONS = 6
-# Bytes that a pose takes while it is planned, and poses between two sweeps.
-_MEMORY_PER_POSE, _POSES_BETWEEN = 420, 6
-# Corners of the polygon and of the polyhedron that stand for a circle and a sphere, around which they lie: by 0.1 % and 1 %.
-_AROUND, _ON_SPHERE = 72, 600
+# Corners of the polygon that stands for a circle, around which it lies by 0.1 %.
+_AROUND = 72
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
-# Cosine of the angle between two rods that are as good as opposite: no place lies behind both of their planes.
-_OPPOSITE = -0.98
-# Level lines above the table are drawn back along the rod by no more than this part of it.
-_RAISED = 0.3
-# Part of the rod, from its tip, that must enter the body somewhere on a line, and the places where that is looked up.
-_LEAST, _PLACES_ALONG = 0.1, 65
-# Directions of the rod that are tried for a place to which a sweep is aimed, and the least slope by which they point down.
-_TRIED, _LEVEL = 16, 0.02
-# Places about a line at which the width of the body is looked up.
-_PLACES = 17
+# Part of the rod, from its tip, that must enter the body somewhere on a line.
+_LEAST = 0.1
+# Directions of the rod that are tried for a place to which a sweep is aimed.
+_TRIED = 16
 
 
 @dataclass(frozen=True)
@@ -112,7 +96,7 @@ class Envelope:
         """(n, 3) corners of a polyhedron in which the bounding body lies."""
         if self.shape == "sphere":
             radius = self.sizes[0] / 2
-            directions = sphere_directions(_ON_SPHERE).T
+            directions = sphere_directions(600).T
             # the polyhedron of points on a sphere has faces nearer to the middle, by which it is enlarged
             faces = hull(directions)
             nearest = float((faces.triangles_center * faces.face_normals).sum(axis=1).min())
@@ -283,14 +267,14 @@ class RigPlan:
         length = rod.length_m / metres
         floor = self.floor
         if floor is None:
-            floor = max(_FLOOR * self.around.height, _FLOOR_DIAMETERS * self.wire().diameter_m / metres)
+            floor = max(0.02 * self.around.height, 2 * self.wire().diameter_m / metres)
         clearance = self.resolved_clearance()
         return Space(
             self.around.points(),
             length,
             clearance * length,
             math.sqrt(1 - clearance**2) * length,
-            min(_MARGIN, clearance) * length,
+            min(0.05, clearance) * length,
             floor,
         )
 
@@ -319,10 +303,10 @@ def plan_poses(plan: RigPlan) -> PoseList:
 def _check_size(plan: RigPlan) -> None:
     """Raise InputError if the poses of a plan need more memory than there is."""
     planar = plan.model == "planar"
-    lines = plan.slices * (plan.sweeps or _SIDES) if planar else _DIRECTIONS * (plan.sweeps or plan.slices)
+    lines = plan.slices * (plan.sweeps or _SIDES) if planar else 6 * (plan.sweeps or plan.slices)
     count, samples = to_float(lines), to_float(plan.samples)
     check_memory(
-        _MEMORY_PER_POSE * count * (samples + _POSES_BETWEEN),
+        420 * count * (samples + 6),  # bytes for each pose, six of which lie between two sweeps
         f"a plan of {count:.4g} sweeps with {samples:.4g} poses",
         "choose fewer slices, sweeps or samples",
     )
@@ -424,7 +408,7 @@ def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) ->
     sine = float(np.linalg.norm(across))
     if sine < NEGLIGIBLE and cosine > 0:
         return []
-    if cosine < _OPPOSITE:
+    if cosine < -0.98:
         # both rods are nearly level, and no place lies behind both planes: a quarter of a turn first
         halfway = start[0], before @ Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix().T
         return _turn(start, halfway, space) + _turn(halfway, end, space)
@@ -466,7 +450,8 @@ def _line(space: Space, along: Array, spread: Array, x: Array, offset: float) ->
     The rod points down, along the direction `along`.
     """
     base = _base(space, along)
-    at = offset + space.margin * np.linspace(-1, 1, _PLACES)
+    # the width of the body is looked up about the line
+    at = offset + space.margin * np.linspace(-1, 1, 17)
     across, moved = space.points @ spread, space.points @ x
     high, low = -_lowest(across, -moved, at), _lowest(across, moved, at)
     origin = base + (offset - base @ spread) * spread
@@ -493,7 +478,8 @@ def _rasters(plan: RigPlan, space: Space) -> list[Sweep]:
     The first lines of a direction move across the slope of the rod and up and down along it, the others level.  A line whose
     rod would hit the table is drawn back along the rod; one that then does not reach the body is left out.
     """
-    count = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
+    # as in the scan of a known body
+    count = plan.sweeps or max(2, round(0.6 * plan.slices))
     body = hull(space.points)
     lines = []
     for along in -icosahedron():
@@ -518,12 +504,12 @@ def _lines(space: Space, body: Any, along: Array, spread: Array, moved: Array, n
     if spread[2] > 0 and moved[2] == 0:
         # lower lines would have to be drawn back too far
         tip = base[2] + space.length * along[2] - (base @ spread) * spread[2]
-        lowest = max(lowest, (space.floor + _RAISED * space.length * along[2] - tip) / spread[2])
+        lowest = max(lowest, (space.floor + 0.3 * space.length * along[2] - tip) / spread[2])
     offsets = lowest + cosine_fractions(number) * (place.max() - lowest)
     lines = []
     for k, offset in enumerate(offsets):
         line = _line(space, along, spread, -moved if k % 2 else moved, offset)
-        places = line.sweep(_PLACES_ALONG).position
+        places = line.sweep(65).position
         rods = np.broadcast_to(along, places.shape)
         if segments_meet(body, places, rods, (1 - _LEAST) * space.length).any():
             lines.append(line)
@@ -541,7 +527,7 @@ def lines_to(targets: Array, normals: Array, space: Space, random: np.random.Gen
         first, second = across(normal)
         for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(_TRIED) / _TRIED:
             along = np.cos(angle) * first + np.sin(angle) * second
-            if along[2] > -_LEVEL:
+            if along[2] > -0.02:  # nearly level, or upwards
                 continue
             spread = np.cross(normal, along)
             line = _line(space, along, spread, normal, float(target @ spread))

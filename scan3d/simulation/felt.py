@@ -22,20 +22,10 @@ from scan3d.spatial.equilibrium import wrench
 from scan3d.spatial.sweeping import End, sweep
 from scan3d.units import UNITS_M
 
-# Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a planar sweep.
+# Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a sweep.
 _STRAIGHT = 1e-6
-# Decimals of axes that are the same, of sweeps whose slices are cut at once.
-_AXIS_DECIMALS = 12
 # Sweeps that are computed at once.
 _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
-# Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The rods in between are
-# interpolated; contacts from them are off by some 1e-5 rod lengths.
-_STEP = 0.0025
-# Turn of the force, in radians, and path of the contact, in rod lengths, from one of these places to the next, from which on
-# every row in between is solved, as at snaps: edges and vertices are passed in shorter paths, and friction may be drawn anew.
-_TURNED, _MOVED = 0.02, 0.01
-# Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
-_LOOKED_AT = 0.02
 
 
 class Track(NamedTuple):
@@ -68,10 +58,11 @@ def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) ->
 
     The centre line of a thick rod touches the mesh fattened by the rod's radius, and the contact force acts on it there.
 
-    Raises InputError for sweeps that begin in the body, and in the planar model for clamps that do not move along -x of their
-    frames.
+    Raises InputError for sweeps that begin in the body, and for clamps that turn, or do not move along -x of their frames.
     """
     length = rod.length_m / metres
+    for track in tracks:
+        _check_straight(track, length)
     if model == "spatial":
         check_simple(rod)
         return _felt_in_space(mesh, tracks, length, rod.diameter_m / metres / 2)
@@ -153,8 +144,6 @@ def recorded(
 
 
 def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, thick: Rod) -> list[Reactions]:
-    for track in tracks:
-        _check_planar(track, length)
     outlines = _outlines(mesh, tracks, length, length * thick.diameter_m / 2 / thick.length_m)
     rod = thick.in_plane()
     reactions = []
@@ -199,15 +188,15 @@ def _base(track: Track, length: float) -> Array:
     return np.minimum.accumulate((track.position - track.position[0]) @ track.axes[0, 0] / length)
 
 
-def _check_planar(track: Track, length: float) -> None:
+def _check_straight(track: Track, length: float) -> None:
     travel = (track.position - track.position[0]) / length
     aside = np.abs(travel @ track.axes[0, 1:].T).max()
     backwards = np.diff(travel @ track.axes[0, 0]).max(initial=0.0)
     turned = np.abs(track.axes - track.axes[0]).max()
     if max(aside, backwards, turned) > _STRAIGHT:
         raise InputError(
-            f"in the planar model the clamp moves against the x axis of its frame and does not turn, unlike in sweep "
-            f"{track.number}; give --model spatial"
+            f"in a sweep the clamp moves against the x axis of its frame on a straight line and does not turn, unlike in sweep "
+            f"{track.number}; cut it into straight sweeps"
         )
 
 
@@ -216,7 +205,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
     outlines: list[Array] = [np.empty((0, 2))] * len(tracks)
     frames = np.array([track.axes[0] for track in tracks])
     _, first, group = np.unique(
-        np.round(frames, _AXIS_DECIMALS).reshape(len(tracks), -1), axis=0, return_index=True, return_inverse=True
+        np.round(frames, 12).reshape(len(tracks), -1), axis=0, return_index=True, return_inverse=True
     )
     for k, row in enumerate(first):
         members = np.flatnonzero(group.reshape(-1) == k)
@@ -229,7 +218,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
 
 def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
     body, middle = rounded_body(mesh, length, radius)
-    places = [_places((track.position - middle) / length, track) for track in tracks]
+    places = [_places((track.position - middle) / length) for track in tracks]
     found: dict[int, _Swept] = {}
     again = list(range(len(tracks)))
     for _ in range(2):  # the second time with the rows where the contact changes much
@@ -251,16 +240,17 @@ class _Swept(NamedTuple):
     """Rows between places from one to the next of which the contact changes much."""
 
 
-def _places(position: Array, track: Track) -> Array:
+def _places(position: Array) -> Array:
     """Where on its path a sweep is solved: (k,) in rows.
 
-    At every row, unless the rows of a straight path are closer to each other than needed.
+    At every row, unless the rows are closer to each other than needed.
     """
     n = len(position)
     every = np.arange(n, dtype=float)
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
-    count = math.ceil(path[-1] / _STEP) + 1
-    if count >= n or np.abs(track.axes - track.axes[0]).max() > _STRAIGHT:
+    # rods that are interpolated between places so near have contacts that are off by some 1e-5 rod lengths
+    count = math.ceil(path[-1] / 0.0025) + 1
+    if count >= n:
         return every
     return np.asarray(np.interp(np.linspace(0, path[-1], count), path, every))
 
@@ -269,8 +259,6 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
     """Sweeps of similar lengths at once: shorter ones go on beyond their ends, which is cut off."""
     n = max(len(at) for at in places)
     position, friction = np.empty((len(tracks), n, 3)), np.empty((len(tracks), n))
-    turning = any(np.abs(track.axes - track.axes[0]).max() > _STRAIGHT for track in tracks)
-    axes = np.empty((len(tracks), n, 3, 3))
     for k, (track, row, at) in enumerate(zip(tracks, rows, places, strict=True)):
         where = np.stack([np.interp(at, np.arange(len(row)), column) for column in row.T], axis=1)
         count, step = len(at), where[-1] - where[-2]
@@ -278,9 +266,8 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
         position[k, count:] = where[-1] + np.arange(1, n - count + 1)[:, None] * step
         nearest = np.minimum(np.round(at).astype(np.intp), len(track.friction) - 1)
         friction[k, :count], friction[k, count:] = track.friction[nearest], track.friction[-1]
-        axes[k, :count], axes[k, count:] = track.axes[nearest], track.axes[-1]
     try:
-        result = sweep(body, position, axes if turning else axes[:, 0], friction)
+        result = sweep(body, position, np.array([track.axes[0] for track in tracks]), friction)
     except ValueError as error:
         raise InputError(f"these poses can't be swept in space: {error}; plan with a larger --around") from None
     found = []
@@ -296,7 +283,8 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
                 np.linalg.norm(np.diff(column, axis=0), axis=1)
                 for column in (force / np.linalg.norm(force, axis=1, keepdims=True), result.point[k, :count])
             )
-            turns = touches[:-1] & touches[1:] & ~(joined & (turn <= _TURNED) & (path <= _MOVED))
+            # in radians and rod lengths: larger changes are those of snaps and edges, and friction may be drawn anew
+            turns = touches[:-1] & touches[1:] & ~(joined & (turn <= 0.02) & (path <= 0.01))
             row = np.arange(len(track.position), dtype=float)
             turned = row[turns[np.clip(np.searchsorted(at, row) - 1, 0, count - 2)] & ~np.isin(row, at)]
             force, moment, touches = _between(at, (s1, force, moment), touches, joined, len(track.position))
@@ -353,7 +341,7 @@ def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: 
     turns = Rotation.from_matrix(np.swapaxes(axes, 1, 2))
     vector = (turns[:-1].inv() * turns[1:]).as_rotvec()
     size = np.maximum(np.linalg.norm(np.diff(position, axis=0), axis=1), length * np.linalg.norm(vector, axis=1))
-    count: Index = np.ceil(size / (_LOOKED_AT * length)).astype(np.intp) + 1
+    count: Index = np.ceil(size / (0.02 * length)).astype(np.intp) + 1
     step = np.repeat(np.arange(len(count)), count)
     part = (np.arange(len(step)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[step]
     place = position[step] + part[:, None] * (position[step + 1] - position[step])

@@ -21,7 +21,7 @@ from scan3d.geometry.convexity import check_body, check_convex
 from scan3d.geometry.distance import segments_meet
 from scan3d.poses import Move, PoseList
 from scan3d.processes import check_memory
-from scan3d.recording import Recording
+from scan3d.recording import Recording, reaction_columns
 from scan3d.rods import Rod
 from scan3d.simulation.faults import Faults, kept, logged_positions, measured
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
@@ -73,20 +73,15 @@ class RawLog:
             raise InputError("a log with faults is no recording; import it")
         chosen = self.move == Move.SWEEP if rows is None else rows
         wrench = self.wrench[chosen]
-        six_axes: dict[str, Any] = {}
-        if self.model == "spatial":
-            six_axes = {"force_z_N": wrench[:, 2], "moment_x_Nm": wrench[:, 3], "moment_y_Nm": wrench[:, 4]}
         return Recording(
             sweep=self.sweep[chosen],
             position_m=self.position_m[chosen],
             quaternion=self.quaternion[chosen],
-            force_N=wrench[:, :2],
-            moment_Nm=wrench[:, 5],
+            **reaction_columns(wrench[:, :3], wrench[:, 3:], self.model == "spatial"),
             rod=self.rod,
             unit=self.unit,
             table_m=self.table_m,
             source=self.source,
-            **six_axes,
         )
 
 

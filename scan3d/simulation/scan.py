@@ -46,22 +46,8 @@ Progress = Callable[[int, int], None]
 
 # Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.
 _ROUNDS = 2
-# Heights at which the body's width is evaluated to choose a rod for it.
-_WIDTH_HEIGHTS = 33
 # Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.
 _BEYOND = 0.2
-# Slices that are swept in one call, of bodies that are convex and of others, whose rods are followed step by step together.
-_SLICES_AT_ONCE = 16, 64
-# Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
-_FINEST = 16
-# Part of the tolerance within which contours are to be known before further slices are chosen: the gaps between contacts make
-# secants to close slices steep.
-_OF_TOLERANCE = 0.25
-# Slices along each axis of a plan with a tolerance up to which all axes are planned together.
-_MOST_WITH_TOLERANCE = 28
-# Bytes that a scan takes while it is simulated and analysed: for each sample, slice and facet of the body, and those of the
-# program itself.  The manual's page on performance has what was measured.
-_MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE, _MEMORY_PER_FACET, _MEMORY_OF_PROGRAM = 1000, 300_000, 1000, 400_000_000
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -105,7 +91,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
-    few = not plan.tolerance or plan.slices <= _MOST_WITH_TOLERANCE
+    # more slices along each axis are planned for one axis after the other
+    few = not plan.tolerance or plan.slices <= 28
     if plan.spacing == "adaptive" and not plan.noise and len(scans) > 1 and few:
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
@@ -117,7 +104,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
                 progress(before + min(done, plan.slices), count)
 
         first = first_heights(*scan.extent, plan)
-        together = _SLICES_AT_ONCE[not convex]
+        # rods of bodies that are not convex are followed step by step together
+        together = (16, 64)[not convex]
         for start in range(0, len(first), together):
             scan.scan(first[start : start + together])
             _check_sweeps(scan, plan.samples)
@@ -133,10 +121,8 @@ def _check_size(mesh: Any, plan: Plan, slices: int, sweeps: float) -> None:
     """Raise InputError if a scan of so many slices, with so many sweeps in each, needs more memory than there is."""
     samples = to_float(slices) * to_float(sweeps) * to_float(plan.samples)
     check_memory(
-        samples * _MEMORY_PER_SAMPLE
-        + to_float(slices) * _MEMORY_PER_SLICE
-        + len(mesh.faces) * _MEMORY_PER_FACET
-        + _MEMORY_OF_PROGRAM,
+        # as was measured: for each sample, slice and facet of the body, and those of the program itself
+        samples * 1000 + to_float(slices) * 300_000 + len(mesh.faces) * 1000 + 400_000_000,
         f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} samples",
         "choose fewer slices, sweeps or samples",
     )
@@ -166,10 +152,12 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequ
 
     Contacts of finished scans along other axes are given to the planner as well.
     """
-    finest, memory = _FINEST * scan.plan.samples, SlabMemory()
+    # four times doubled, so that contacts show the contour within the tolerance
+    finest, memory = 16 * scan.plan.samples, SlabMemory()
     if scan.plan.tolerance and not scan.plan.noise:
         with suppress(InputError):  # the first slices alone may span no body
-            _refine(scan, rod, _OF_TOLERANCE * scan.plan.tolerance, finest)
+            # gaps between contacts make secants to close slices steep
+            _refine(scan, rod, 0.25 * scan.plan.tolerance, finest)
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
         try:
             cloud = contacts(recording_of([*others, scan], rod))
@@ -448,7 +436,7 @@ class AxisScan:
 def width_of(mesh: Any, frame: Array) -> float:
     """Largest diameter of the slices about their middles; a sweep with a rod of that length sees most of a slice."""
     low, high = extent_along(mesh, frame[2])
-    loops = sections(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
+    loops = sections(mesh, frame, np.linspace(low, high, 35)[1:-1])
     outlines = [np.concatenate(part) for part in loops if part]
     widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in outlines]
     if not widths:

@@ -20,20 +20,8 @@ from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
-# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what is open, per sweep of the rasters.
-# With these, a scan in space has at most one and a half times as many samples as a planar one of as many slices.
-_LINES_PER_SLICE, _AIMED = 0.4, 3.5
-# Samples of an aimed sweep, as a part of those of another, and the exponent by which they are denser at the touch-down.
-_AIMED_SAMPLES, _DENSE_AT_FIRST = 0.35, 2
 # Rounds in which the aimed sweeps are made.
 _ROUNDS = 5
-# How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
-_BEYOND = 0.1
-# Arc length of a contact, in rod lengths, at which a sweep ends: the clamp comes close to the body, and the force grows without
-# limit.
-_NEAREST = 0.2
-# Steps of Newton's method from one sample to the next before a sweep is given up.
-_EFFORT = 400
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6
 
@@ -60,14 +48,15 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
     length = rod.length_m / metres
     body, middle = rounded_body(mesh, length, rod.diameter_m / metres / 2)
     points = (vertices - middle) / length
-    per_direction = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
+    per_direction = plan.sweeps or max(2, round(0.4 * plan.slices))
     swept = _sweep(body, rasters(points, per_direction, plan.clearance), plan, 0)
     if not swept:
         raise InputError(
             "the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance"
         )
     generator = np.random.default_rng([plan.seed, 2])
-    further = 0 if plan.sweeps else round(_AIMED * 12 * per_direction / _ROUNDS)
+    # with these, a scan in space has at most one and a half times as many samples as a planar one
+    further = 0 if plan.sweeps else round(3.5 * 12 * per_direction / _ROUNDS)
     for number in range(_ROUNDS if further else 0):
         contacts, normals = (
             np.concatenate([vectors[np.isfinite(part.result.s1)] for part, vectors in zip(swept, columns, strict=True)])
@@ -95,10 +84,11 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     if not len(rows):
         return []
     begin, end = passage.begin[rows], passage.end[rows]
-    # a sweep that is aimed at a place touches it at the beginning
-    samples = max(2, round(_AIMED_SAMPLES * plan.samples)) if number else plan.samples
-    spacing = np.linspace(0, 1, samples) ** (_DENSE_AT_FIRST if number else 1)
-    distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * spacing
+    # a sweep that is aimed at a place touches it at the beginning, where its samples are dense
+    samples = max(2, round(0.35 * plan.samples)) if number else plan.samples
+    spacing = np.linspace(0, 1, samples) ** (2 if number else 1)
+    # the bent rod may follow the body
+    distance = begin[:, None] - _BEFORE + (1.1 * (end - begin))[:, None] * spacing
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
     # where rod and face are nearly parallel, the touch-down is found to some thousandths only, and may lie before the beginning
     again = passages(body, position[:, 0].T, y[:, rows], (position[:, -1] - position[:, 0]).T)
@@ -109,7 +99,7 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     keys = [[plan.seed, 3, number, int(row)] for row in rows]
     friction = np.array([drawn_friction(plan.friction_range, samples, key) for key in keys])
     axes = lines.axes[rows]
-    result = sweep(body, position, axes, friction, effort=_EFFORT)
+    result = sweep(body, position, axes, friction, effort=400)
     return [_Swept(position, axes, result)]
 
 
@@ -121,7 +111,8 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
     number, position, wrench, sweeps = [], [], [], 0
     for part in swept:
         with np.errstate(invalid="ignore"):  # no arc length without contact
-            too_near = np.maximum.accumulate(part.result.s1 < _NEAREST, axis=1)
+            # in rod lengths: the force grows without limit
+            too_near = np.maximum.accumulate(part.result.s1 < 0.2, axis=1)
         touching = np.isfinite(part.result.s1) & ~too_near
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)

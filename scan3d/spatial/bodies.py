@@ -25,13 +25,6 @@ from scan3d.arrays import NEGLIGIBLE, Array, Index
 
 LARGEST_TURN = 0.5
 """Largest turn of a normal in one step of Newton's method, in radians: beyond it the linearisation does not hold."""
-# A mesh is fine if the median angle between its faces is smaller than this, in radians.  Friction on it then refers to normals
-# that are interpolated across all angles below the second.
-_FINE, _SMOOTH = 0.09, 0.44
-# Sine of the angle between the normals of two sides of a crease, below which they count as one.
-_ONE_SIDE = 1e-6
-# Directions whose highest vertices the search for a highest vertex begins with.
-_COARSE = 500
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -181,7 +174,7 @@ class RoundedPolyhedron:
         self._stars()
         self._first_edge, self._first_vertex = len(self.triangles), len(self.triangles) + len(self.tail)
         self._friction_normals()
-        self._coarse = np.unique(np.argmax(sphere_directions(_COARSE).T @ self.vertices, axis=1))
+        self._coarse = np.unique(np.argmax(sphere_directions(500).T @ self.vertices, axis=1))
 
     def _faces(self, triangles: Index) -> None:
         a, b, c = (self.vertices[:, triangles[:, k]] for k in range(3))
@@ -240,7 +233,8 @@ class RoundedPolyhedron:
         """
         triangles, count = self.triangles, len(self.triangles)
         turned = self.angle[self.angle > NEGLIGIBLE]
-        limit = _SMOOTH if len(turned) and np.median(turned) < _FINE else 0.0
+        # a fine mesh stands for a smooth body; friction on it refers to normals that are interpolated across angles below 0.44
+        limit = 0.44 if len(turned) and np.median(turned) < 0.09 else 0.0
         groups, group = self._smooth_corners(np.flatnonzero(self.angle < max(limit, NEGLIGIBLE)))
         corners = self.vertices[:, triangles.T]  # (3, 3 corners, f)
         to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
@@ -446,7 +440,7 @@ def _in_plane(sides: Array, n: Array, u: Array, v: Array) -> tuple[Array, Array,
     a, b = sides
     across = cross(a, b)
     size = np.sqrt(dot(across, across))
-    crease = size > _ONE_SIDE
+    crease = size > 1e-6
     k = across / np.where(crease, size, 1.0)
     first, *rest = (np.where(crease, vector - dot(vector, k) * k, 0.0) for vector in (n, u, v))
     return np.where(crease, first, a), rest[0], rest[1]

@@ -18,44 +18,18 @@ import planar
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.spatial.bodies import LARGEST_TURN, Body, Patch, dot, unit
 from scan3d.spatial.equilibrium import Bent, Law, Mode, System, bent, system, wrench
-from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches, later_touches
+from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches
 
-# Residual, in rod lengths and unit forces, at which the equations count as solved.
-_SOLVED = 1e-11
-# Steps of Newton's method before a step fails, on a smooth body, and on a polyhedron, where each ends at the border of a face,
-# an edge or a vertex; and those from one sample to the next before a sweep is given up.
-_PATIENCE, _PATIENCE_ON_FEATURES, _EFFORT = 9, 25, 800
 # Steps of Newton's method with the direction of the slip frozen, where the slip is not known from the step before.
 _FROZEN_STEPS = 2
 # Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
 _LARGEST_STRAIGHTENED = 3
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
-# Largest path of the contact in a step: in rod lengths, and in paths of the clamp.  Farther solutions are on other branches.
-_REACH, _REACH_IN_STEPS = 0.08, 3.0
-# Weight of the slip in the residual of a contact that sticks, in steps.
-_SLIP_WEIGHT = 10.0
-# A step that fails is the lift-off if the straight rod is clear of the body, the rod is nearly straight, and the step is short;
-# or if Newton's method straightens a rod that is even less bent, and the straight rod is nearly clear.  The numbers are
-# places in samples, q², samples, places in samples, and q².
-_CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
-_ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
-# Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its limit.
-_DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
-# Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
-_BEYOND_FOLD = 0.5
-# Slip, in rod lengths, above which a step of the flow is long, and the factors of the drag after long and short ones.
-_LONG_FLOW, _AFTER_LONG, _AFTER_SHORT = 0.02, 1.5, 1 / 3
-# Slip and drag below which the flow has come to rest, and its steps at most.
-_AT_REST, _LITTLE_DRAG, _FLOW_STEPS = 1e-7, 1e-3, 60
-# Part of the force along the normal below which a rod that snaps leaves the body.
-_LEAVES = 0.05
+# Steps of the flow of a snap at most.
+_FLOW_STEPS = 60
 # Largest angle of the force: beyond it, the force pulls the rod straight.
 _LARGEST_ANGLE = 3.1
-# q², as a part of its limit cos²(α/2), above which a step goes half the way to the limit instead, and its largest value at all.
-_NEAR_LIMIT, _LIMIT = 0.999, 0.9999
-# Shift of the unknowns' own derivatives where a Jacobian is singular to the last bit.
-_SHIFT = 1e-12
 
 
 class End(IntEnum):
@@ -109,15 +83,14 @@ def sweep(
     friction: ArrayLike = 0.0,
     *,
     substeps: int = 1,
-    effort: int = _EFFORT,
+    effort: int = 800,
 ) -> Sweeps:
     """Sweeps of a round rod of length 1 past a convex body.
 
     position
-        (m, n, 3) clamp at the samples; it moves on a straight line from each to the next.
+        (m, n, 3) clamp at the samples, on a straight line in each sweep.
     axes
-        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z; or (m, n, 3, 3) for clamps
-        that turn, steadily from each sample to the next.
+        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z.
     friction
         coefficient of friction: one number, (m,) or (m, n).
     substeps
@@ -126,16 +99,13 @@ def sweep(
     effort
         steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
 
-    A rod that has lost contact touches again where its path leads it back.  Raises ValueError for arrays of other shapes, for
-    coefficients below zero, and for paths that begin in the body.
+    Raises ValueError for arrays of other shapes, for coefficients below zero, and for paths that begin in the body.
     """
     place, turn, mu = _checked(position, axes, friction)
     if substeps < 1:
         raise ValueError(f"substeps must be at least 1, got {substeps}")
     lanes = _Lanes(body, Paths(place, turn), mu, substeps, effort)
-    touch = first_touches(body, lanes.paths)
-    while len(touch.number):
-        touch = later_touches(body, lanes.paths, *lanes.run(touch))
+    lanes.run(first_touches(body, lanes.paths))
     s1 = lanes.results.s1
     touching = np.where(s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP)
     lanes.results.phase[:] = np.where(np.isfinite(s1), touching, planar.Phase.NONE)
@@ -148,8 +118,8 @@ def _checked(position: ArrayLike, axes: ArrayLike, friction: ArrayLike) -> tuple
     if place.ndim != 3 or place.shape[1] < 2 or place.shape[2] != 3:
         raise ValueError(f"position must have the shape (m, n, 3) with n >= 2, got {place.shape}")
     m, n = place.shape[:2]
-    if turn.shape not in ((m, 3, 3), (m, n, 3, 3)):
-        raise ValueError(f"axes must have the shape ({m}, 3, 3) or ({m}, {n}, 3, 3), got {turn.shape}")
+    if turn.shape != (m, 3, 3):
+        raise ValueError(f"axes must have the shape ({m}, 3, 3), got {turn.shape}")
     mu = np.asarray(friction, dtype=float)
     mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, (m, n))
     if not (np.isfinite(mu).all() and (mu >= 0).all()):
@@ -263,28 +233,23 @@ class _Lanes:
         self.results = _untouched(*friction.shape)
         self._longest, self._effort = 1.0 / substeps, effort
         self._last = paths.samples - 1
-        self._patience = _PATIENCE if body.smooth else _PATIENCE_ON_FEATURES
+        # Newton's method ends at each border of a piece of a polyhedron
+        self._patience = 9 if body.smooth else 25
 
-    def run(self, touch: Touch) -> tuple[Index, Array]:
-        """Follow sweeps from their touch-downs to the end of their contacts.
-
-        Returns the numbers of the sweeps that lost contact before the end of the path, and the places where they did.
-        """
+    def run(self, touch: Touch) -> None:
+        """Follow sweeps from their touch-downs to the end of their contacts."""
         self._lanes = self._started(touch)
-        self._left = [(touch.number[:0], touch.progress[:0])]
         while len(self._lanes.number):
             self._round()
-        number, progress = (np.concatenate(column) for column in zip(*self._left, strict=True))
-        return number, progress
 
     def _started(self, touch: Touch) -> _States:
         """Lanes (k,) at touch-down."""
         count = len(touch.number)
         patch = self.body.patch(touch.feature, touch.coordinates)
         clamp = self.paths.clamp(touch.number, touch.progress)
-        speed, turning = self.paths.speed(touch.number, touch.progress)
+        speed = self.paths.speed(touch.number, touch.progress)
         friction = self.friction[touch.number, self._sample_after(touch.progress)]
-        state = first_state(patch.normal, touch.s1, clamp, speed + touch.s1 * turning, friction)
+        state = first_state(patch.normal, touch.s1, clamp, speed, friction)
         force = bent(state, clamp).force
 
         def zeros() -> Index:
@@ -336,9 +301,10 @@ class _Lanes:
             return
         s1 = lanes.state[3, rows]
         before, after = (self.paths.clamp(lanes.number[rows], at[rows]) for at in (lanes.progress, lanes.target))
-        move = after.position - before.position + s1 * (after.y - before.y)
         normal = self.body.patch(lanes.feature[rows], lanes.coordinates[:, rows]).normal
-        lanes.trial_state[2, rows] = first_bend(-dot(move, normal), lanes.state[1, rows], s1)
+        lanes.trial_state[2, rows] = first_bend(
+            -dot(after.position - before.position, normal), lanes.state[1, rows], s1
+        )
 
     def _round(self) -> None:
         lanes = self._lanes
@@ -348,10 +314,10 @@ class _Lanes:
         friction = self.friction[lanes.number, self._sample_after(lanes.target)]
         frozen = (lanes.mode == Mode.SLIDE) & (lanes.iterations < lanes.frozen)
         mode = np.where(frozen, np.int8(Mode.FROZEN), lanes.mode)
-        law = Law(friction, lanes.point, lanes.state[3], mode, lanes.slip_direction, _SLIP_WEIGHT / step, lanes.drag)
+        law = Law(friction, lanes.point, lanes.state[3], mode, lanes.slip_direction, 10 / step, lanes.drag)
         equations = system(lanes.trial_state, rod, patch, law)
         size = np.abs(equations.residual).max(axis=0)
-        solved = (size < _SOLVED) & (~frozen | (friction == 0))
+        solved = (size < 1e-11) & (~frozen | (friction == 0))
         accepted = solved & self._valid(equations, friction, patch.point, step)
         failed = solved | ~np.isfinite(size) | (lanes.iterations >= self._patience)
         failed = (failed | (lanes.straightened >= _LARGEST_STRAIGHTENED)) & ~accepted
@@ -379,7 +345,8 @@ class _Lanes:
         try:
             solved = np.linalg.solve(jacobian, right)
         except np.linalg.LinAlgError:
-            solved = np.linalg.solve(jacobian + _SHIFT * np.eye(6), right)
+            # singular to the last bit
+            solved = np.linalg.solve(jacobian + 1e-12 * np.eye(6), right)
         step = -solved[:, :, 0].T
         if not self.body.smooth:
             # on a small piece where equilibria are unstable, as the sphere about a vertex, the path of equilibria runs back
@@ -397,8 +364,9 @@ class _Lanes:
         state[1] = np.clip(state[1], -_LARGEST_ANGLE, _LARGEST_ANGLE)
         limit = np.cos(state[1] / 2) ** 2
         lanes.straightened[rows] = np.where(state[2] <= STRAIGHT, lanes.straightened[rows] + 1, 0)
-        state[2] = np.where(state[2] >= _NEAR_LIMIT * limit, (before + limit) / 2, np.maximum(state[2], STRAIGHT))
-        state[2] = np.minimum(state[2], _LIMIT * limit)
+        # half the way to the limit instead of nearly all of it
+        state[2] = np.where(state[2] >= 0.999 * limit, (before + limit) / 2, np.maximum(state[2], STRAIGHT))
+        state[2] = np.minimum(state[2], 0.9999 * limit)
         lanes.trial_state[:, rows] = state
         lanes.trial_feature[rows], lanes.trial_coordinates[:, rows] = feature, coordinates
         lanes.iterations[rows] += 1
@@ -412,7 +380,8 @@ class _Lanes:
         against_slip = (equations.dissipated >= 0) | (friction == 0) | flowing
         valid &= np.where(equations.sticks, held, against_slip)
         path = point - lanes.point
-        reach = np.maximum(_REACH, _REACH_IN_STEPS * step * self.paths.pace[lanes.number])
+        # farther solutions are on other branches
+        reach = np.maximum(0.08, 3 * step * self.paths.pace[lanes.number])
         # a rod that first lies along a face or an edge may touch it anywhere
         anywhere = flowing | (lanes.state[2] <= 2 * STRAIGHT)
         return np.asarray(valid & ((np.sqrt(dot(path, path)) < reach) | anywhere))
@@ -495,13 +464,15 @@ class _Lanes:
         lanes = self._lanes
         lanes.mode[rows], lanes.branches[rows] = Mode.SLIDE, 0
         target, clear, bend = lanes.target[rows], lanes.clear_after[rows], lanes.state[2, rows]
-        short = target - lanes.progress[rows] <= _SHORT
-        off = (target >= clear - _CLEAR) & (bend < _NEARLY_STRAIGHT) & short
+        short = target - lanes.progress[rows] <= 0.25
+        # the lift-off, if the straight rod is clear of the body, the rod nearly straight, and the step short
+        off = (target >= clear - 0.02) & (bend < 0.1) & short
         straightened = lanes.straightened[rows] >= _LARGEST_STRAIGHTENED
-        off |= (target >= clear - _ALMOST_CLEAR) & (bend > 2 * STRAIGHT) & (bend < _STRAIGHTENED) & straightened
+        # or if Newton's method straightens a rod that is even less bent, and the straight rod is nearly clear
+        off |= (target >= clear - 1.0) & (bend > 2 * STRAIGHT) & (bend < 0.02) & straightened
         flowing = lanes.drag[rows] > 0
         flow = rows[flowing]
-        lanes.drag[flow] *= _MORE_DRAG
+        lanes.drag[flow] *= 4.0
         lanes.mode[flow] = Mode.EITHER
         lanes.flow_steps[flow] += 1
         halved = rows[~flowing & ~off]
@@ -510,36 +481,34 @@ class _Lanes:
         self._snap(halved[snaps])
         lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
         self._restart(rows)
-        self._leave(rows[off])
-        self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > _LARGEST_DRAG)], End.LOST)
+        self._finish(rows[off], End.OFF)
+        self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > 1e4)], End.LOST)
 
     def _snap(self, rows: Index) -> None:
         """Begin to follow the overdamped flow from states that no equilibrium follows."""
         lanes = self._lanes
-        lanes.drag[rows], lanes.mode[rows], lanes.flow_steps[rows] = _DRAG, Mode.EITHER, 0
+        # in unit forces per rod length
+        lanes.drag[rows], lanes.mode[rows], lanes.flow_steps[rows] = 0.3, Mode.EITHER, 0
         progress = lanes.progress[rows]
-        lanes.target[rows] = np.minimum(np.floor(progress + NEGLIGIBLE) + 1, progress + _BEYOND_FOLD)
+        # beyond the fold, so that the flow is not slow there
+        lanes.target[rows] = np.minimum(np.floor(progress + NEGLIGIBLE) + 1, progress + 0.5)
 
     def _flow(self, rows: Index, equations: System) -> None:
         """Take the next step of a snap: longer where the last one was short, and end at an equilibrium."""
         lanes = self._lanes
         slip, sticks = equations.slip[rows], equations.sticks[rows]
         lanes.flow_steps[rows] += 1
-        lanes.drag[rows] *= np.where(slip < _LONG_FLOW, _AFTER_SHORT, _AFTER_LONG)
-        rests = ((slip < _AT_REST) & (lanes.drag[rows] < _LITTLE_DRAG)) | sticks
+        # longer steps where the last one was short
+        lanes.drag[rows] *= np.where(slip < 0.02, 1 / 3, 1.5)
+        rests = ((slip < 1e-7) & (lanes.drag[rows] < 1e-3)) | sticks
         ended = rows[rests]
         lanes.drag[ended], lanes.has_snapped[ended], lanes.step[ended] = 0.0, True, _SMALLEST
         lanes.mode[ended] = np.where(sticks[rests], Mode.STICK, Mode.SLIDE)
-        leaves = ~rests & (equations.normal_force[rows] < _LEAVES)
+        # hardly any force presses it to the body
+        leaves = ~rests & (equations.normal_force[rows] < 0.05)
         clear = lanes.target[rows] >= lanes.clear_after[rows]
-        self._leave(rows[leaves & clear])
+        self._finish(rows[leaves & clear], End.OFF)
         self._finish(rows[(leaves & ~clear) | (~rests & (lanes.flow_steps[rows] > _FLOW_STEPS))], End.LOST)
-
-    def _leave(self, rows: Index) -> None:
-        """End the contact of lanes whose rod has come free of the body."""
-        lanes = self._lanes
-        self._left.append((lanes.number[rows], lanes.target[rows]))
-        self._finish(rows, End.OFF)
 
     def _finish(self, rows: Index, end: End) -> None:
         rows = rows[self._lanes.number[rows] >= 0]

@@ -2,8 +2,8 @@
 
 On a straight path of a clamp that does not turn, the body is seen along the rod as a convex figure in the plane, whose support
 function is that of the body at the normals across the rod.  The clamp moves along a line in that plane, which enters the figure
-and leaves it.  Where the contact would lie beyond the rod's tip, the path of the tip decides.  On other paths the distance of
-the rod from the body along many directions shows where it comes near.  Newton's method makes both exact.
+and leaves it.  Where the contact would lie beyond the rod's tip, the path of the tip decides.  Newton's method makes
+both exact.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.spatial.bodies import Body, cross, dot, sphere_directions, unit
@@ -20,83 +19,43 @@ from scan3d.spatial.equilibrium import Clamp
 
 STRAIGHT = 1e-14
 """q² of a rod that counts as straight.  Zero would make the derivatives by q² singular."""
-# Normals in all directions at which the body is evaluated for the path of a tip, and along which the distance of rod and body
-# is evaluated on other than straight paths.
+# Normals in all directions at which the body is evaluated for the path of a tip.
 _SPHERE = sphere_directions(1500)
-# Normals across a rod at which the figure is evaluated, and the rounds in which they close in on that of the touch-down.
-_AROUND, _ROUNDS = 24, 4
-# Places per step of other paths at which the distance is evaluated.
-_PER_STEP = 2
-# Rods that are evaluated at once, on straight paths and on others, so that the intermediate arrays stay small.
-_RODS, _RODS_NEAR = 64, 2048
-# Steps of Newton's method at most, the residual in rod lengths at which it ends, and distances and
-# differences of axes at which a place counts as found, and a path as straight and not turning.
-_STEPS, _EXACT, _FOUND = 60, 1e-13, 1e-10
+# Normals across a rod at which the figure is evaluated; they close in on that of the touch-down.
+_AROUND = 24
+# Rods that are evaluated at once, so that the intermediate arrays stay small.
+_RODS = 64
+# Distance in rod lengths at which a place counts as found.
+_FOUND = 1e-10
 
 
 class Paths:
-    """Paths of m clamps with n samples: `position` (m, n, 3) and `axes` (m, 3, 3), or (m, n, 3, 3) for clamps that turn.
-
-    Between the samples clamps move on straight lines and turn steadily.
-    """
+    """Straight paths of m clamps that do not turn, with n samples: `position` (m, n, 3) and `axes` (m, 3, 3)."""
 
     def __init__(self, position: Array, axes: Array) -> None:
         self.samples = position.shape[1]
         self.position = position.transpose(2, 0, 1)  # (3, m, n)
-        turning = axes.ndim == 4
-        if turning and np.abs(axes - axes[:, :1]).max(initial=0.0) < _FOUND:
-            axes, turning = axes[:, 0], False
-        self._turn: Array | None = None
-        self._axes = np.moveaxis(axes, (-2, -1), (0, 1))  # (3 axes, 3, m) or (3 axes, 3, m, n)
-        if turning:
-            relative = np.einsum("mnij,mnik->mnjk", axes[:, 1:], axes[:, :-1])
-            turn = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
-            self._turn = np.moveaxis(turn.reshape(len(axes), -1, 3), 2, 0)  # (3, m, n - 1), in the world
+        self._axes = np.moveaxis(axes, (-2, -1), (0, 1))  # (3 axes, 3, m)
         steps = np.diff(self.position, axis=2)
         self.pace = np.sqrt(dot(steps, steps)).max(axis=1)
-        if self._turn is not None:
-            self.pace = self.pace + np.sqrt(dot(self._turn, self._turn)).max(axis=1)
 
     def clamp(self, lane: Index, progress: Array) -> Clamp:
         """Poses at `progress` (k,) along the paths `lane` (k,): the number of a sample, and a fraction of the step after it."""
-        number, part = self._step(progress)
-        begin, end = self.position[:, lane, number], self.position[:, lane, number + 1]
-        position = begin + part * (end - begin)
-        if self._turn is None:
-            return Clamp(position, *self._axes[:, :, lane])
-        turn = part * self._turn[:, lane, number]
-        return Clamp(position, *(_turned(axis, turn) for axis in self._axes[:, :, lane, number]))
-
-    def speed(self, lane: Index, progress: Array) -> tuple[Array, Array]:
-        """Derivatives (3, k) of the clamp's position and of the undeformed rod's direction by the progress."""
-        number, _ = self._step(progress)
-        speed = self.position[:, lane, number + 1] - self.position[:, lane, number]
-        if self._turn is None:
-            return speed, np.zeros_like(speed)
-        return speed, cross(self._turn[:, lane, number], self.clamp(lane, progress).y)
-
-    def straight(self) -> tuple[Mask, Array]:
-        """Which paths (m,) are straight lines of clamps that do not turn, and the samples' places (m, n) along them, 0 to 1."""
-        start = self.position[:, :, :1]
-        travel = self.position[:, :, -1:] - start
-        with np.errstate(divide="ignore", invalid="ignore"):
-            place = dot(self.position - start, travel) / dot(travel, travel)
-            away = np.abs(start + place * travel - self.position).max(axis=(0, 2))
-        straight = (away < _FOUND) & (np.diff(place, axis=1) > 0).all(axis=1)
-        return np.asarray(straight & (self._turn is None)), place
-
-    def _step(self, progress: Array) -> tuple[Index, Array]:
         # Newton's method may try places far off the path, such as of a straight rod along a face that it crosses
         number = np.clip(progress, 0, self.samples - 2).astype(np.intp)
-        return number, progress - number
+        begin, end = self.position[:, lane, number], self.position[:, lane, number + 1]
+        return Clamp(begin + (progress - number) * (end - begin), *self._axes[:, :, lane])
 
+    def speed(self, lane: Index, progress: Array) -> Array:
+        """Derivatives (3, k) of the clamp's position by the progress."""
+        number = np.clip(progress, 0, self.samples - 2).astype(np.intp)
+        return np.asarray(self.position[:, lane, number + 1] - self.position[:, lane, number])
 
-def _turned(vector: Array, turn: Array) -> Array:
-    """Vectors (3, k) turned by rotation vectors (3, k): Rodrigues' formula."""
-    angle = np.sqrt(dot(turn, turn))
-    axis = turn / np.where(angle > 0, angle, 1.0)
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.asarray(vector * cos + cross(axis, vector) * sin + axis * (dot(axis, vector) * (1 - cos)))
+    def fractions(self) -> Array:
+        """(m, n) where the samples are along their paths, from 0 to 1."""
+        start = self.position[:, :, :1]
+        travel = self.position[:, :, -1:] - start
+        return np.asarray(dot(self.position - start, travel) / dot(travel, travel))
 
 
 class _Motion(NamedTuple):
@@ -105,7 +64,6 @@ class _Motion(NamedTuple):
     position: Array
     along: Array
     speed: Array
-    turning: Array
 
 
 _Moving = Callable[[Index, Array], _Motion]
@@ -148,7 +106,7 @@ def passages(body: Body, position: Array, along: Array, travel: Array) -> Passag
 def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passage:
     def motion(rows: Index, part: Array) -> _Motion:
         way = travel[:, rows]
-        return _Motion(position[:, rows] + part * way, along[:, rows], way, np.zeros_like(way))
+        return _Motion(position[:, rows] + part * way, along[:, rows], way)
 
     entry, leave = (_of_line(body, position, along, travel, sign) for sign in (-1.0, 1.0))
     touches = entry.progress < leave.progress
@@ -179,7 +137,7 @@ def _of_line(body: Body, position: Array, along: Array, travel: Array, sign: flo
     ahead = sign * cross(across, along)
     rows = np.arange(position.shape[1])
     middle, width = np.zeros(len(rows)), np.pi / 2
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         angle = np.clip(middle + np.linspace(-width, width, _AROUND)[:, None], -np.pi / 2 + 1e-6, np.pi / 2 - 1e-6)
         n = np.cos(angle) * ahead[:, None] + np.sin(angle) * across[:, None]
         point = body.extreme(n.reshape(3, -1))[2].reshape(n.shape)
@@ -216,21 +174,21 @@ def _refined(body: Body, motion: _Moving, start: _Place, wanted: Mask, *, tip: b
     begin, s1 = start.progress.copy(), start.s1.copy()
     feature, coordinates = start.feature.copy(), start.coordinates.copy()
     rows = np.flatnonzero(wanted)
-    for _ in range(_STEPS):
+    for _ in range(60):
         if not len(rows):
             break
         s, here = s1[rows], (feature[rows], coordinates[:, rows])
         patch, at = body.patch(*here), motion(rows, begin[rows])
         jacobian, residual = np.zeros((len(rows), 4, 4)), np.zeros((len(rows), 4))
         residual[:, :3] = (at.position + s * at.along - patch.point).T
-        for k, column in enumerate((at.speed + s * at.turning, at.along, -patch.point_1, -patch.point_2)):
+        for k, column in enumerate((at.speed, at.along, -patch.point_1, -patch.point_2)):
             jacobian[:, :3, k] = column.T
         if tip:
             residual[:, 3], jacobian[:, 3, 1] = s - 1, 1.0
         else:
-            residual[:, 3], jacobian[:, 3, 0] = dot(patch.normal, at.along), dot(patch.normal, at.turning)
+            residual[:, 3] = dot(patch.normal, at.along)
             jacobian[:, 3, 2], jacobian[:, 3, 3] = dot(patch.normal_1, at.along), dot(patch.normal_2, at.along)
-        open_rows = np.abs(residual).max(axis=1) > _EXACT
+        open_rows = np.abs(residual).max(axis=1) > 1e-13
         # a place on an edge or a face that the rod is parallel to has no unique solution: the point is kept
         jacobian[:, range(4), range(4)] += 1e-14
         step = np.asarray(-np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0], dtype=float)
@@ -258,144 +216,29 @@ class Touch(NamedTuple):
 
 
 def first_touches(body: Body, paths: Paths) -> Touch:
-    """The first touch-down of every path that has one.
+    """The touch-down of every path that has one: a straight path crosses the body once.
 
     Raises ValueError if a rod is in the body from the beginning.
     """
-    straight, place = paths.straight()
-    number = np.flatnonzero(straight)
-    parts = [_next_touches(body, paths, np.flatnonzero(~straight), None)]
-    if len(number):
-        clamp = paths.clamp(number, np.zeros(len(number)))
-        travel = paths.position[:, number, -1] - clamp.position
-        passage = passages(body, clamp.position, clamp.y, travel)
-        _check_begin(number[passage.touches & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)])
-        rows = np.flatnonzero(passage.touches & (passage.begin >= -NEGLIGIBLE) & (passage.begin < 1))
-        number = number[rows]
-        begin = _progress(place[number], np.maximum(passage.begin[rows], 0.0))
-        end = _progress(place[number], passage.end[rows])
-        parts.append(Touch(number, begin, end, passage.s1[rows], passage.feature[rows], passage.coordinates[:, rows]))
-    return Touch(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
-
-
-def later_touches(body: Body, paths: Paths, number: Index, progress: Array) -> Touch:
-    """The next touch-downs of the paths `number` (k,) whose rods have come free of the body at `progress` (k,).
-
-    A straight path crosses the body once.
-    """
-    curved = ~paths.straight()[0][number]
-    return _next_touches(body, paths, number[curved], progress[curved])
-
-
-def _check_begin(number: Index) -> None:
-    if len(number):
-        raise ValueError(f"the rod must not be in the body at the beginning of a sweep, as it is in sweep {number[0]}")
+    number = np.arange(paths.position.shape[1])
+    clamp = paths.clamp(number, np.zeros(len(number)))
+    passage = passages(body, clamp.position, clamp.y, paths.position[:, :, -1] - clamp.position)
+    inside = passage.touches & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)
+    if inside.any():
+        raise ValueError(
+            f"the rod must not be in the body at the beginning of a sweep, as it is in sweep {np.argmax(inside)}"
+        )
+    rows = np.flatnonzero(passage.touches & (passage.begin >= -NEGLIGIBLE) & (passage.begin < 1))
+    place = paths.fractions()[rows]
+    begin, end = _progress(place, np.maximum(passage.begin[rows], 0.0)), _progress(place, passage.end[rows])
+    return Touch(rows, begin, end, passage.s1[rows], passage.feature[rows], passage.coordinates[:, rows])
 
 
 def _progress(place: Array, wanted: Array) -> Array:
-    """Places (k,) in samples of fractions of straight paths whose samples are at the fractions (k, n); beyond them likewise."""
+    """Places (k,) in samples of fractions of paths whose samples are at the fractions (k, n); beyond them likewise."""
     step = np.minimum((place[:, 1:] <= wanted[:, None]).sum(axis=1), place.shape[1] - 2)
     rows = np.arange(len(place))
     return np.asarray(step + (wanted - place[rows, step]) / (place[rows, step + 1] - place[rows, step]))
-
-
-def _next_touches(body: Body, paths: Paths, number: Index, after: Array | None) -> Touch:
-    """Touch-downs after some places on the paths; without them, from the beginning."""
-    start = np.zeros(len(number)) if after is None else after
-    grid = np.linspace(0, paths.samples - 1, _PER_STEP * (paths.samples - 1) + 1)
-    distance, direction = _distances(body, paths, number, grid)
-    none = np.zeros(0, dtype=np.intp)
-    found = [Touch(none, np.zeros(0), np.zeros(0), np.zeros(0), none, np.zeros((3, 0)))]
-    near = (distance <= 0) & (grid >= start[:, None])
-    # a rod that is near from the beginning may come to touch or go away
-    enters = near.copy()
-    enters[:, 1:] &= ~near[:, :-1]
-    rows, column = np.arange(len(number)), np.zeros(len(number), dtype=np.intp)
-    while len(rows):
-        column = np.where(enters[rows].any(axis=1), np.argmax(enters[rows], axis=1), len(grid))
-        rows, column = rows[column < len(grid)], column[column < len(grid)]
-        if not len(rows):
-            break
-        enters[rows, column] = False
-        at, touches, speed = _crossing(body, paths, number[rows], grid[column], direction[rows, column])
-        entering = touches & (speed < 0)
-        before = entering & (at.progress < start[rows] - NEGLIGIBLE)
-        if after is None:
-            _check_begin(number[rows[before & (column == 0)]])
-        good = entering & ~before
-        chosen = rows[good]
-        progress = np.maximum(at.progress[good], 0.0)
-        begin = np.maximum(progress, grid[column[good]])
-        end = _end(body, paths, number[chosen], grid, distance[chosen], direction[chosen], begin)
-        found.append(Touch(number[chosen], progress, end, at.s1[good], at.feature[good], at.coordinates[:, good]))
-        rows = rows[~good]
-    return Touch(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
-
-
-def _end(
-    body: Body, paths: Paths, number: Index, grid: Array, distance: Array, direction: Index, begin: Array
-) -> Array:
-    """Where straight rods that touch the body at `begin` (k,) have passed it; infinite if they do not before the path ends."""
-    clear = (distance > 0) & (grid > begin[:, None])
-    end = np.where(clear.any(axis=1), grid[np.argmax(clear, axis=1)], np.inf)
-    rows = np.flatnonzero(np.isfinite(end))
-    column = np.argmax(clear, axis=1)[rows] - 1
-    at, touches, speed = _crossing(body, paths, number[rows], grid[column], direction[rows, column])
-    leaves = touches & (speed > 0) & (at.progress > begin[rows])
-    end[rows[leaves]] = at.progress[leaves]
-    return end
-
-
-def _distances(body: Body, paths: Paths, number: Index, grid: Array) -> tuple[Array, Index]:
-    """Largest distances (k, g) of straight rods beyond the body over all directions, and the numbers of those directions.
-
-    They are lower bounds of the true distances.
-    """
-    lane, progress = np.repeat(number, len(grid)), np.tile(grid, len(number))
-    height = dot(body.extreme(_SPHERE)[2], _SPHERE)
-    distance, direction = np.empty(len(lane)), np.empty(len(lane), dtype=np.intp)
-    for first in range(0, len(lane), _RODS_NEAR):
-        part = slice(first, first + _RODS_NEAR)
-        clamp = paths.clamp(lane[part], progress[part])
-        beyond = clamp.position.T @ _SPHERE
-        beyond += np.minimum(clamp.y.T @ _SPHERE, 0.0)
-        beyond -= height
-        direction[part] = np.argmax(beyond, axis=1)
-        distance[part] = np.take_along_axis(beyond, direction[part, None], axis=1)[:, 0]
-    return distance.reshape(-1, len(grid)), direction.reshape(-1, len(grid))
-
-
-def _crossing(body: Body, paths: Paths, number: Index, near: Array, direction: Index) -> tuple[_Place, Mask, Array]:
-    """Where rods near the body touch it, along themselves or with their tips; of both, what is nearest to `near` (k,).
-
-    With it whether they touch (k,), and their speed (k,) along the outward normal, per sample: below zero where they enter.
-    """
-    feature, coordinates, point = body.extreme(_SPHERE[:, direction])
-    clamp = paths.clamp(number, near)
-    start = _Place(near, np.clip(dot(clamp.y, point - clamp.position), 0.0, 1.0), feature, coordinates)
-    every = np.arange(len(near))
-
-    def motion(rows: Index, progress: Array) -> _Motion:
-        clamp = paths.clamp(number[rows], progress)
-        return _Motion(clamp.position, clamp.y, *paths.speed(number[rows], progress))
-
-    def solved(tip: bool) -> tuple[_Place, Mask, Array]:
-        place = _refined(body, motion, start, every >= 0, tip=tip)
-        patch, at = body.patch(place.feature, place.coordinates), motion(every, place.progress)
-        gap = np.abs(at.position + place.s1 * at.along - patch.point).max(axis=0)
-        lean = dot(at.along, patch.normal)
-        touches = (gap < _FOUND) & (place.progress <= paths.samples - 1)
-        if tip:
-            touches &= (np.abs(place.s1 - 1) < _FOUND) & (lean <= 0)
-        else:
-            touches &= (place.s1 > 0) & (place.s1 <= 1) & (np.abs(lean) < _FOUND)
-        return place, touches, dot(at.speed + place.s1 * at.turning, patch.normal)
-
-    along, touches, speed = solved(False)
-    tip, tip_touches, tip_speed = solved(True)
-    use_tip = tip_touches & (~touches | (np.abs(tip.progress - near) < np.abs(along.progress - near)))
-    place = _Place(*(np.where(use_tip, b, a) for a, b in zip(along, tip, strict=True)))
-    return place, touches | tip_touches, np.where(use_tip, tip_speed, speed)
 
 
 def first_state(normal: Array, s1: Array, clamp: Clamp, motion: Array, friction: Array) -> Array:
