@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,25 @@ AT_ONCE = 4_000_000
 def evenly(rows: NDArray[Any], count: int) -> NDArray[Any]:
     """At most `count` of the rows (n, ...), evenly chosen, the first and the last among them."""
     return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
+
+
+def ranges(count: Index) -> tuple[Index, Index]:
+    """Of numbers from 0 that repeat so many times each (n,): which number it is, and how often it came before.
+
+    Of the counts 2 and 1 these are ``0 0 1`` and ``0 1 0``.
+    """
+    number = np.repeat(np.arange(len(count)), count)
+    return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -> Array:
+    """(s,) the values (n,) that these shares of the weights (n,) do not exceed; NaN values don't count."""
+    order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]
+    if not len(order):
+        return np.full(len(shares), np.nan)
+    total = np.cumsum(weights[order])
+    found: Array = values[order][np.searchsorted(total, np.multiply(shares, total[-1])).clip(max=len(order) - 1)]
+    return found
 
 
 def unit(vectors: Array) -> Array:

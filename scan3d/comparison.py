@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import SOME, Array, Index
+from scan3d.arrays import SOME, Array, Index, weighted_quantiles
 from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
@@ -110,6 +110,7 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
     squares = [float((w * d**2).sum()) for w, d in zip(weights, distances, strict=True)]
     within = [min(1.0, float(w[d * scale <= 0.01 * diagonal].sum())) for w, d in zip(weights, distances, strict=True)]
     weight = np.concatenate(weights)
+    normal_median, normal_p95 = weighted_quantiles(np.concatenate(angles), weight, (0.5, 0.95)).tolist()
     return Comparison(
         hausdorff=worst.lower * scale,
         surface_to_mesh=sides[0].lower * scale,
@@ -125,11 +126,11 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
         relative=worst.lower * scale / diagonal,
         mean=sum(means) / 2 * scale,
         rms=float(np.sqrt(sum(squares) / 2)) * scale,
-        p95=_quantile(np.concatenate(distances), weight, 0.95) * scale,
+        p95=float(weighted_quantiles(np.concatenate(distances), weight, [0.95])[0]) * scale,
         chamfer=sum(means) * scale,
         f_score=2 * within[0] * within[1] / sum(within) if sum(within) else 0.0,
-        normal_median_deg=_quantile(np.concatenate(angles), weight, 0.5),
-        normal_p95_deg=_quantile(np.concatenate(angles), weight, 0.95),
+        normal_median_deg=normal_median,
+        normal_p95_deg=normal_p95,
         volume_error=bodies[0].volume / bodies[1].volume - 1 if bodies[1].volume else np.nan,
     )
 
@@ -194,12 +195,3 @@ def _deviations(source: Body, target: Body, samples: _Samples) -> tuple[Array, A
     a, b = source.normals[samples.faces], target.normals[face]
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), dot(a, b)))
     return distance, np.where(a.any(axis=1) & b.any(axis=1), angle, np.nan)
-
-
-def _quantile(values: Array, weights: Array, fraction: float) -> float:
-    """The value that a fraction of the weight does not exceed; NaN values don't count."""
-    order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]
-    if len(order) == 0:
-        return np.nan
-    total = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(total, fraction * total[-1])]])

@@ -53,9 +53,9 @@ def lengths(values: Iterable[float], unit: str, *, digits: int = 4) -> tuple[lis
     return _alike(metres, max(largest, UNITS["nm"]), size, digits), symbol
 
 
-def point(values: Iterable[float], unit: str, *, digits: int = 4) -> str:
+def point(values: Iterable[float], unit: str) -> str:
     """A place whose coordinates are given in `unit`: ``(12.5, 0, -3.1) mm``."""
-    shown, symbol = lengths(values, unit, digits=digits)
+    shown, symbol = lengths(values, unit)
     return f"({', '.join(shown)}) {symbol}"
 
 

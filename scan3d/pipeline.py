@@ -266,7 +266,6 @@ def write(
     folder: str | Path,
     *,
     settings: Mapping[str, Any],
-    notify: Notify = lambda _: None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write an analysis into a folder: recording, cloud, surface, pictures, page and report, which is returned.
@@ -280,7 +279,7 @@ def write(
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
         drawing.begin(to_scene(analysis), _JOBS)
-        return _put(analysis, result, settings, Clock(analysis.seconds), drawing, notify)
+        return _put(analysis, result, settings, Clock(analysis.seconds), drawing, lambda _: None)
 
 
 def _put(

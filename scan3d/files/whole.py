@@ -59,14 +59,13 @@ class Replacement:
 
     folder: Path
     inputs: Inputs
-    option: str
     kind: Kind
     _work: Path
     _sha256: dict[str, str] = field(default_factory=dict)
 
     def put(self, name: str, data: bytes) -> None:
         """Add a file, which appears in the folder with all others."""
-        with in_a_sentence(self.folder / name, self.option):
+        with in_a_sentence(self.folder / name, "--out"):
             self._work.mkdir(exist_ok=True)
             (self._work / name).write_bytes(data)
             _flush(self._work / name)
@@ -82,7 +81,7 @@ class Replacement:
         read = {name: sha256(self.folder / name) for name in RECORDING} if self.reads_recording else {}
         data = {**report, "files": names, "sha256": {**read, **self._sha256}}
         self.put(self.kind[-1], to_json(data))
-        with in_a_sentence(self.folder, self.option):
+        with in_a_sentence(self.folder, "--out"):
             _replace(self._work, self.folder)
         return data
 
@@ -105,7 +104,6 @@ def replacing(
     *,
     inputs: Inputs | None = None,
     overwrite: bool = False,
-    option: str = "--out",
     kind: Kind = SCAN,
 ) -> Iterator[Replacement]:
     """A result to be written into a folder, which is created if it is missing.
@@ -114,21 +112,19 @@ def replacing(
         what the run reads, which is not overwritten.
     overwrite
         whether files that the program did not write may be replaced.
-    option
-        the option in which the user gave the path, for messages.
 
     Raises InputError if the folder can't be written into, and if a file would be replaced that must not be.
     """
-    with folder(path, option) as place, _working(place) as work:
-        result = Replacement(place, inputs or {}, option, kind, work)
+    with folder(path) as place, _working(place) as work:
+        result = Replacement(place, inputs or {}, kind, work)
         ours, stated = unchanged(place, kind), earlier_files(place, kind)
         for name in kind:
             if name in RECORDING and result.reads_recording:
                 continue
-            check_path(place / name, inputs or {}, option)
+            check_path(place / name, inputs or {}, "--out")
             if (place / name).exists() and name not in ours and not overwrite:
                 since = " or was changed since" if name in stated else ""
-                raise InputError(f"{place / name} was not written by scan3d{since}; {_ASK} {option}")
+                raise InputError(f"{place / name} was not written by scan3d{since}; {_ASK} --out")
         yield result
 
 
@@ -153,9 +149,9 @@ def write_atomic(path: str | Path, data: bytes, option: str = "--out") -> None:
         file.write_bytes(data)
 
 
-def write_together(path: Path, files: Mapping[str, bytes], option: str = "--out") -> None:
+def write_together(path: Path, files: Mapping[str, bytes]) -> None:
     """Write files that belong together, by name, into the folder of `path`, which is one of them: all or none."""
-    with in_a_sentence(path, option), _working(path.parent) as work:
+    with in_a_sentence(path, "--out"), _working(path.parent) as work:
         work.mkdir()
         for name, data in files.items():
             if (path.parent / name).is_dir():

@@ -49,6 +49,7 @@ from scan3d.geometry.triangles import (
     largest_of_three,
     longest_first,
     mirrored_faces,
+    opposite_edges,
     spanned,
     without_unused,
 )
@@ -73,26 +74,6 @@ HULL_OF_MESH = "convex hull of the mesh"
 _PROBES = 2_000_000
 # Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.
 _NEARBY = 0.02
-
-
-def opposite_edges(faces: Index) -> Index | None:
-    """For each directed edge (m, 3) of faces (m, 3), from a corner to the next, the number of the same edge in the opposite
-    direction, with ``3 f + k`` for the edge of the face f that begins at its corner k.
-
-    None unless every edge belongs to exactly two faces, which run through it in opposite directions.
-    """
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    up, down, count = np.flatnonzero(start < end), np.flatnonzero(start > end), int(faces.max(initial=-1)) + 1
-    if len(up) != len(down) or len(up) + len(down) < faces.size:
-        return None
-    edge, reverse = start[up] * count + end[up], end[down] * count + start[down]
-    order, reverse_order = np.argsort(edge), np.argsort(reverse)
-    edge, up, down = edge[order], up[order], down[reverse_order]
-    if (edge[1:] == edge[:-1]).any() or not np.array_equal(edge, reverse[reverse_order]):
-        return None
-    opposite = np.empty(faces.size, dtype=np.int64)
-    opposite[up], opposite[down] = down, up
-    return opposite.reshape(-1, 3)
 
 
 def outward_faces(points: Array, faces: Index) -> Index | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges
 
 
 def outer_outlines(lines: list[Array], size: float) -> list[Array]:
@@ -75,10 +75,8 @@ def _near_pairs(start: Array, stop: Array, close: float) -> tuple[Index, Index]:
     rows = max(1, AT_ONCE // len(start))
     for first in range(0, len(start), rows):
         of = np.arange(first, min(first + rows, len(start)))
-        number = np.maximum(last[of] - of - 1, 0)
-        a = np.repeat(of, number)
-        b = a + 1 + np.arange(len(a)) - np.repeat(np.cumsum(number) - number, number)
-        a, b = order[a], order[b]
+        row, rank = ranges(np.maximum(last[of] - of - 1, 0))
+        a, b = order[of[row]], order[of[row] + 1 + rank]
         meet = (low[a, 1] <= high[b, 1]) & (low[b, 1] <= high[a, 1])
         pairs.append((a[meet], b[meet]))
     a, b = (np.concatenate(part) for part in zip(*pairs, strict=True))

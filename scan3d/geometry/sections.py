@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.arrays import Array, Index, ranges
 from scan3d.geometry.outlines import outer_outlines
 
 if TYPE_CHECKING:
@@ -28,15 +28,9 @@ def slice_frame(axis: Array) -> Array:
 
 
 def extent_along(mesh: trimesh.Trimesh, axis: ArrayLike) -> tuple[float, float]:
-    """Lowest and highest coordinate of the mesh along an axis (3,) of any length, in the units of the mesh.
-
-    Raises ValueError if the axis has no direction.
-    """
+    """Lowest and highest coordinate of the mesh along an axis (3,) of any length, in the units of the mesh."""
     axis = np.asarray(axis, np.float64)
-    length = np.linalg.norm(axis)
-    if axis.shape != (3,) or not (0 < length < np.inf):
-        raise ValueError(f"axis must be three finite numbers, not all 0, but it is {axis.tolist()}")
-    heights = mesh.vertices.view(np.ndarray) @ (axis / length)
+    heights = mesh.vertices.view(np.ndarray) @ (axis / np.linalg.norm(axis))
     return float(heights.min()), float(heights.max())
 
 
@@ -51,15 +45,8 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     Returns n convex polygons (m, 2), counter-clockwise in the frame's x and y, without duplicate or collinear vertices; (0, 2)
     where the plane misses the body or only touches it in a point or an edge.  The section by a plane that contains a face of
     the body, within rounding, is that face.  Vertices are exact to rounding of the body's size and distance from the origin.
-
-    Raises ValueError unless the rotation's rows are orthonormal and the heights have the shape (n,).
     """
     rotation, heights = np.asarray(rotation, np.float64), np.asarray(heights, np.float64)
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=NEGLIGIBLE):
-        raise ValueError(f"rotation must be (3, 3) with orthonormal rows, but it is {rotation.tolist()}")
-    if heights.ndim != 1:
-        raise ValueError(f"heights must be (n,), but their shape is {heights.shape}")
-
     center = mesh.bounds.mean(axis=0)
     origin = rotation @ center
     points = (mesh.vertices.view(np.ndarray) - center) @ rotation.T  # about the centre, where float64 is finest
@@ -139,9 +126,8 @@ def _closed_lines(points: Array, faces: Index, levels: Array) -> list[list[Array
 
 def _pairs(first: Index, last: Index) -> tuple[Index, Index]:
     """All pairs (i, j) with first[i] <= j < last[i], as two arrays."""
-    count = np.maximum(last - first, 0)
-    i = np.repeat(np.arange(len(count)), count)
-    return i, np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)
+    i, rank = ranges(np.maximum(last - first, 0))
+    return i, first[i] + rank
 
 
 def convex_polygon(points: Array, rounding: float) -> Array:

@@ -140,6 +140,26 @@ def distinct_rows(rows: Array) -> tuple[Index, Index]:
     return order[new], inverse
 
 
+def opposite_edges(faces: Index) -> Index | None:
+    """For each directed edge (m, 3) of faces (m, 3), from a corner to the next, the number of the same edge in the opposite
+    direction, with ``3 f + k`` for the edge of the face f that begins at its corner k.
+
+    None unless every edge belongs to exactly two faces, which run through it in opposite directions.
+    """
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    up, down, count = np.flatnonzero(start < end), np.flatnonzero(start > end), int(faces.max(initial=-1)) + 1
+    if len(up) != len(down) or len(up) + len(down) < faces.size:
+        return None
+    edge, reverse = start[up] * count + end[up], end[down] * count + start[down]
+    order, reverse_order = np.argsort(edge), np.argsort(reverse)
+    edge, up, down = edge[order], up[order], down[reverse_order]
+    if (edge[1:] == edge[:-1]).any() or not np.array_equal(edge, reverse[reverse_order]):
+        return None
+    opposite = np.empty(faces.size, dtype=np.int64)
+    opposite[up], opposite[down] = down, up
+    return opposite.reshape(-1, 3)
+
+
 def mirrored_faces(faces: Index) -> Mask | None:
     """Which triangles (m,) of a closed surface, given by vertex numbers (m, 3), are wound against the first one.
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
@@ -262,7 +262,7 @@ class Window:
             self.layers[name] = [actor for line, _ in lines for actor in canvas.add_lines(line[None], parts.INK, 1)]
         if parts.has_rods(scene):
             sweep = parts.shown_sweep(scene)
-            self.layers["rods"] = canvas.add_rods(sweep, parts.evenly_chosen(len(sweep.base), 9))
+            self.layers["rods"] = canvas.add_rods(sweep, evenly(np.arange(len(sweep.base)), 9))
         self._add_buttons(color)
         canvas.aim(*_SIZE)
         canvas.plotter.enable_point_picking(self.pick, show_message=False, left_clicking=True, show_point=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly, weighted_quantiles
 from scan3d.errors import InputError
 from scan3d.numbers import FORCES, MOMENTS, number, reaction_unit, share
 from scan3d.pictures import figures, parts
@@ -48,7 +48,7 @@ def reactions(scene: Scene, sheet: Sheet) -> Any:
     columns = figure.subplots(3, len(names) // 3, sharex=True, squeeze=False).T
     panels = columns.ravel()
     scale = 1 / UNITS_M[recording.unit]
-    for sweep in numbers[parts.evenly_chosen(len(numbers), 60)]:
+    for sweep in evenly(numbers, 60):
         rows = recording.sweep == sweep
         position = recording.position_m[rows]
         travel = scale * np.linalg.norm(position - position[0], axis=1)
@@ -132,7 +132,7 @@ def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float
     axes.yaxis.set_major_locator(figures.ticks(_HISTOGRAM_HEIGHT * axes.figure.get_figheight(), sheet, 2.0, 5))
     axes.ticklabel_format(axis="x", useOffset=False, style="plain")
     axes.set_xlabel(figures.wrapped(title, width, sheet), fontsize=sheet.font)
-    quantiles = parts.weighted_quantiles(values[known], area[known], (0.05, 0.5, 0.95))
+    quantiles = weighted_quantiles(values[known], area[known], (0.05, 0.5, 0.95))
     digits = 2 - int(np.floor(np.log10(high - low)))
     lower, median, upper = (number(round(value, digits)) for value in quantiles)
     text = f"median {median}, 90 % from {lower} to {upper}".replace("-", "−")
@@ -172,7 +172,7 @@ def sweep_figure(found: SweepContacts) -> Any:
         below.set_ylim(median - half, median + half)
     if found.noisy:
         chosen = np.flatnonzero(found.touching)
-        some = chosen[parts.evenly_chosen(len(chosen), 60)]  # more would merge into an area
+        some = evenly(chosen, 60)  # more would merge into an area
         # an expanded uncertainty, about 95 %
         sd, x = 2 * scale * found.point_sd[some], points[some, 0]
         bars: dict[str, Any] = {"fmt": "none", "ecolor": parts.UNKNOWN, "elinewidth": 0.8, "zorder": 0}

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import Array, weighted_quantiles
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.numbers import FORCES, MOMENTS, UNITS, reaction_unit
@@ -171,7 +171,7 @@ def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
         "log": type(shaded.norm).__name__ == "LogNorm",
         "stops": stops,
         "shares": shares.tolist(),
-        "quantiles": parts.weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
+        "quantiles": weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
         "unknown": float(weights[~known].sum() / weights.sum()),
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -150,11 +149,6 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
 SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 
 
-def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
-    """(k,) at most so many of the numbers below `count`, evenly distributed, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, at_most).round().astype(int))
-
-
 def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array | None]:
     """The surface, and at its vertices (v,) the signed deviation from the truth, the certified local bound, and how well they
     are known (2, 1 or 0); None if that is not known.
@@ -218,14 +212,6 @@ def area_of_vertices(mesh: Any) -> Array:
     """(v,) the area around each vertex: a third of its facets."""
     faces = np.asarray(mesh.faces)
     return np.bincount(faces.ravel(), np.repeat(mesh.area_faces / 3, 3), len(mesh.vertices)).astype(np.float64)
-
-
-def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -> Array:
-    """(s,) the values that these shares of the weights (n,) do not exceed."""
-    order = np.argsort(values)
-    below = np.cumsum(weights[order]) / weights.sum()
-    found: Array = values[order][np.searchsorted(below, shares).clip(max=len(order) - 1)]
-    return found
 
 
 def outlines(scene: Scene) -> list[tuple[Array, int]]:
@@ -294,8 +280,6 @@ class ShownSweep:
     """(k, p, 3) the rod from the clamp to the contact"""
     straight: Array
     """(k, 2, 3) the straight rest of the rod, from the contact to the tip"""
-    reactions: Array
-    """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8); of the spatial model (k, 6) f0x, f0y, f0z and m0x, m0y, m0z"""
 
     @property
     def axes(self) -> Array:
@@ -319,10 +303,10 @@ def has_rods(scene: Scene) -> bool:
     return scene.recording is not None and scene.column("row") is not None
 
 
-def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> ShownSweep:
-    """A sweep of the recording, the most informative one unless a number is given; `points` are those of a curved part.
+def shown_sweep(scene: Scene, number: int | None = None) -> ShownSweep:
+    """A sweep of the recording, the most informative one unless a number is given.
 
-    Raises InputError if the scene has no recording, no such sweep, or contacts that do not come from the recording.
+    Raises InputError if the scene has no recording, or contacts that do not come from the recording.
     """
     recording = scene.recording
     sweeps, slices = scene.column("sweep"), scene.column("slice")
@@ -332,20 +316,16 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         )
     chosen = most_informative_sweep(scene) if number is None else number
     selected = sweeps == chosen
-    if not selected.any():
-        raise InputError(
-            f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
-        )
     rod, rows = recording.rod, recording_rows(scene, recording)[selected]
     axes = recording.axes()[rows]
     if is_spatial(scene):
-        reactions, in_plane, plane = _spatial_reactions(recording, rows, axes)
+        in_plane, plane = _spatial_reactions(recording, rows, axes)
     else:
         force = recording.force_N[rows] / rod.force_unit_N
-        reactions = in_plane = np.column_stack([force, recording.moment_Nm[rows] / rod.moment_unit_Nm])
+        in_plane = np.column_stack([force, recording.moment_Nm[rows] / rod.moment_unit_Nm])
         plane = axes[:, :2]
     across, along, moment = in_plane.T
-    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
+    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, 60)
     finite = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
     kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
     scale = 1 / UNITS_M[scene.unit]
@@ -362,7 +342,6 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         turns=axes[kept],
         curved=world(lines.curved),
         straight=world(lines.straight),
-        reactions=reactions[kept],
     )
 
 
@@ -379,8 +358,8 @@ def is_spatial(scene: Scene) -> bool:
     return scene.column("bending") is not None
 
 
-def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Array) -> tuple[Array, Array, Array]:
-    """The six reactions (n, 6) of some rows, those three (n, 3) in the plane of bending, and its directions (n, 2, 3).
+def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Array) -> tuple[Array, Array]:
+    """The reactions (n, 3) of some rows in the plane of bending, and its directions (n, 2, 3).
 
     The plane contains the undeformed rod and the direction ``e`` to which it bends; in it the rod is that of the plane with the
     reactions ``f0·e``, ``f0·t0`` and ``m0·b`` about its normal ``b = e × t0``.  Raises InputError without six axes.
@@ -393,7 +372,7 @@ def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Arra
     across = np.einsum("ni,ni->n", force, bending)
     about = moment[:, 2] * bending[:, 0] - moment[:, 0] * bending[:, 2]
     plane = np.stack([np.einsum("ni,nij->nj", bending, axes), axes[:, 1]], axis=1)
-    return np.column_stack([force, moment]), np.column_stack([across, force[:, 1], about]), plane
+    return np.column_stack([across, force[:, 1], about]), plane
 
 
 def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.choices import VIEWS
 from scan3d.errors import InputError
 from scan3d.pictures import figures, parts
@@ -140,7 +140,7 @@ def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
 def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     sweep = parts.shown_sweep(scene)
     canvas = _sweep_canvas(scene, sweep, sheet)
-    canvas.add_rods(sweep, parts.evenly_chosen(len(sweep.base), 7), _FORWARD)
+    canvas.add_rods(sweep, evenly(np.arange(len(sweep.base)), 7), _FORWARD)
     lines = "contact path" if sweep.slice is None else "slice"
     entries = [
         ("body", parts.BODY, "s"),
@@ -181,7 +181,7 @@ def _sweep_canvas(scene: Scene, sweep: parts.ShownSweep, sheet: Sheet) -> Canvas
     drawn = sweep.number if sweep.slice is None else sweep.slice
     lines = [(line, number) for line, number in parts.sections(scene)[1] if (np.abs((line - middle) @ z) < reach).all()]
     # paths in space cross each other: more cover the body
-    for k in parts.evenly_chosen(len(lines), 60 if sweep.slice is None else len(lines)):
+    for k in evenly(np.arange(len(lines)), 60 if sweep.slice is None else len(lines)):
         canvas.add_lines(lines[k][0][None], parts.SLICE, 1)
     for line, number in lines:
         if number == drawn:

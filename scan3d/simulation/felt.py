@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ranges
 from scan3d.errors import InputError
 from scan3d.geometry.distance import segments_meet
 from scan3d.planning.plan import Plan
@@ -342,8 +342,8 @@ def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: 
     vector = (turns[:-1].inv() * turns[1:]).as_rotvec()
     size = np.maximum(np.linalg.norm(np.diff(position, axis=0), axis=1), length * np.linalg.norm(vector, axis=1))
     count: Index = np.ceil(size / (0.02 * length)).astype(np.intp) + 1
-    step = np.repeat(np.arange(len(count)), count)
-    part = (np.arange(len(step)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[step]
+    step, rank = ranges(count)
+    part = rank / np.maximum(count - 1, 1)[step]
     place = position[step] + part[:, None] * (position[step + 1] - position[step])
     along = (turns[step] * Rotation.from_rotvec(part[:, None] * vector[step])).as_matrix()[:, :, 1]
     touches = segments_meet(mesh, place, along, length, radius)

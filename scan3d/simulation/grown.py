@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, ranges
 from scan3d.geometry.convexity import is_convex
 from scan3d.geometry.sections import convex_polygon, extent_along, slice_outlines, slice_polygons
 from scan3d.spatial.bodies import RoundedPolyhedron
@@ -107,8 +107,8 @@ def _normals(body: RoundedPolyhedron, edge: Index, turn: Array) -> Array:
 def _spread(row: Index, first: Array, last: Array, step: float) -> tuple[Index, Array]:
     """Values from first to last (n,), no farther apart than a step, and the row of each."""
     count = np.ceil((last - first) / step).astype(np.intp) + 1
-    number = np.repeat(np.arange(len(row)), count)
-    part = (np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[number]
+    number, rank = ranges(count)
+    part = rank / np.maximum(count - 1, 1)[number]
     return row[number], first[number] + part * (last - first)[number]
 
 

@@ -22,6 +22,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.geometry.triangles import opposite_edges
 
 LARGEST_TURN = 0.5
 """Largest turn of a normal in one step of Newton's method, in radians: beyond it the linearisation does not hold."""
@@ -103,12 +104,6 @@ class Body(Protocol):
         """Feature, coordinates and point (3, n) of the body's place with the outward normals (3, n)."""
 
 
-def _radius(radius: float) -> float:
-    if not 0 <= radius < np.inf:
-        raise ValueError(f"the rod's radius must be a number >= 0, got {radius}")
-    return float(radius)
-
-
 def _allowed(turn: Array) -> Array:
     """The parts (n,) of turns (n,) that one step may take."""
     return np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
@@ -126,10 +121,8 @@ class Ellipsoid:
         axes: ArrayLike | None = None,
         radius: float = 0.0,
     ) -> None:
-        self.radius = _radius(radius)
+        self.radius = radius
         lengths, turn = np.asarray(semi_axes, dtype=float), np.eye(3) if axes is None else np.asarray(axes, dtype=float)
-        if lengths.shape != (3,) or not ((lengths > 0) & np.isfinite(lengths)).all():
-            raise ValueError(f"an ellipsoid has three semi-axes > 0, got {semi_axes!r}")
         self.center = np.asarray(center, dtype=float).reshape(3, 1)
         self.matrix = turn.T * lengths**2 @ turn
 
@@ -161,13 +154,13 @@ class RoundedPolyhedron:
     """The convex polyhedron with vertices (v, 3) and outward triangles (f, 3), fattened by the rod's radius.
 
     Its features are numbered: first the faces, then the edges, then the vertices.  Raises ValueError if the triangles are not a
-    closed surface, or the radius is below zero.
+    closed surface.
     """
 
     smooth = False
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, radius: float = 0.0) -> None:
-        self.radius = _radius(radius)
+        self.radius = radius
         self.vertices, self.triangles = np.asarray(vertices, dtype=float).T.copy(), np.asarray(faces, dtype=np.intp)
         self._faces(self.triangles)
         self._edges(self.triangles)
@@ -186,20 +179,16 @@ class RoundedPolyhedron:
         self.out_offset = np.stack([dot(self.out[k], corners[k]) for k in range(3)])
 
     def _edges(self, triangles: Index) -> None:
-        count = len(triangles)
-        face, side = np.tile(np.arange(count), 3), np.repeat(np.arange(3), count)
-        tail, head = triangles[face, side], triangles[face, (side + 1) % 3]
-        # an edge runs forwards in its right face and backwards in its left one
-        low, high, forward = np.minimum(tail, head), np.maximum(tail, head), tail < head
-        order = np.lexsort((forward, high, low))
-        left, right = order[0::2], order[1::2]
-        paired = (
-            len(order) % 2 == 0 and np.array_equal(low[left], low[right]) and np.array_equal(high[left], high[right])
-        )
-        if not (paired and (~forward[left]).all() and forward[right].all()):
+        opposite = opposite_edges(triangles)
+        if opposite is None:
             raise ValueError("the triangles of a polyhedron must be a closed surface, with every edge in two of them")
-        self.tail, self.head = low[left], high[left]
-        self.left, self.right = face[left], face[right]
+        tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+        # an edge runs forwards in its right face and backwards in its left one
+        forwards = np.flatnonzero(tail < head)
+        forwards = forwards[np.lexsort((head[forwards], tail[forwards]))]
+        backwards = opposite.ravel()[forwards]
+        self.tail, self.head = tail[forwards], head[forwards]
+        self.left, self.right = backwards // 3, forwards // 3
         span = self.vertices[:, self.head] - self.vertices[:, self.tail]
         self.length = np.sqrt(dot(span, span))
         self.direction = span / self.length
@@ -207,10 +196,8 @@ class RoundedPolyhedron:
         self.turned = cross(self.left_normal, self.direction)
         right_normal = self.normals[:, self.right]
         self.angle = np.maximum(np.arctan2(dot(right_normal, self.turned), dot(right_normal, self.left_normal)), 0.0)
-        self.side = np.empty((3, count), dtype=np.intp)
-        number = np.arange(len(left))
-        self.side[side[left], face[left]] = number
-        self.side[side[right], face[right]] = number
+        self.side = np.empty((3, len(triangles)), dtype=np.intp)
+        self.side[backwards % 3, self.left] = self.side[forwards % 3, self.right] = np.arange(len(forwards))
 
     def _stars(self) -> None:
         """The edges at every vertex, padded by the first of them, and their directions away from it."""

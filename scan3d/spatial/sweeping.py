@@ -99,32 +99,16 @@ def sweep(
     effort
         steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
 
-    Raises ValueError for arrays of other shapes, for coefficients below zero, and for paths that begin in the body.
+    Raises ValueError for paths that begin in the body.
     """
-    place, turn, mu = _checked(position, axes, friction)
-    if substeps < 1:
-        raise ValueError(f"substeps must be at least 1, got {substeps}")
-    lanes = _Lanes(body, Paths(place, turn), mu, substeps, effort)
+    place, mu = np.asarray(position, dtype=float), np.asarray(friction, dtype=float)
+    mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, place.shape[:2])
+    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort)
     lanes.run(first_touches(body, lanes.paths))
     s1 = lanes.results.s1
     touching = np.where(s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP)
     lanes.results.phase[:] = np.where(np.isfinite(s1), touching, planar.Phase.NONE)
     return lanes.results
-
-
-def _checked(position: ArrayLike, axes: ArrayLike, friction: ArrayLike) -> tuple[Array, Array, Array]:
-    """Positions (m, n, 3), axes, and coefficients of friction (m, n)."""
-    place, turn = np.asarray(position, dtype=float), np.asarray(axes, dtype=float)
-    if place.ndim != 3 or place.shape[1] < 2 or place.shape[2] != 3:
-        raise ValueError(f"position must have the shape (m, n, 3) with n >= 2, got {place.shape}")
-    m, n = place.shape[:2]
-    if turn.shape != (m, 3, 3):
-        raise ValueError(f"axes must have the shape ({m}, 3, 3), got {turn.shape}")
-    mu = np.asarray(friction, dtype=float)
-    mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, (m, n))
-    if not (np.isfinite(mu).all() and (mu >= 0).all()):
-        raise ValueError("friction must be numbers >= 0")
-    return place, turn, mu
 
 
 def _untouched(sweeps: int, samples: int) -> Sweeps:
