@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull
 from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import Array, Index
@@ -21,6 +22,7 @@ from scan3d.files.mesh_text import is_binary_stl, plain, text_stl
 from scan3d.files.reading import check_file
 from scan3d.geometry import convexity, triangles
 from scan3d.geometry.distance import bounding_box
+from scan3d.geometry.hausdorff import deepest_dent
 from scan3d.numbers import share
 from scan3d.units import UNITS_M
 
@@ -169,13 +171,16 @@ def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, flo
     facets = convexity.outward_faces(points, faces)
     if facets is not None:
         return facets, 0.0, points[0], 1.0
-    outer = convexity.outward_hull(points)
-    dent, deepest = convexity.deepest_dent(points[faces], outer)
+    qhull = ConvexHull(points)
+    facets = convexity.outward_facets(qhull)
+    assert facets is not None  # the hull of a body is one closed surface
+    planes = qhull.equations * [1, 1, 1, -1]
+    dent, deepest = deepest_dent(points, faces, facets, planes, 0.01 * convexity.DENT_TOLERANCE)
     distinct = triangles.distinct_rows(np.sort(faces, axis=1))[
         0
     ]  # those with the same vertices as another one count once
-    covered = float(triangles.areas(points[faces[distinct]]).sum() / triangles.areas(points[outer.facets]).sum())
-    return outer.facets, dent, deepest, covered
+    covered = float(triangles.areas(points[faces[distinct]]).sum() / triangles.areas(points[facets]).sum())
+    return facets, dent, deepest, covered
 
 
 def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None:

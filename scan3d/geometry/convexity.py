@@ -1,4 +1,4 @@
-"""How far a mesh is from convex: by its edges, by the planes of its hull, and the depth of its deepest dent.
+"""How far a mesh is from convex: by its edges, and by the planes of its hull.
 
 By edges, in linear time.
 
@@ -18,19 +18,12 @@ by ``1 / (1 + s R)``.  So the hull of K lies in K scaled by ``1 + s R``, and alo
 ``s R²``.  The plane of a face, on whose cone g' has the gradient n / d up to s, is exceeded by no point of the hull by more
 than ``2 s R d``.
 
-The *dent* of a mesh is the largest depth of its surface below the surface of its convex hull.  The depth of a point inside a
-convex polyhedron is its distance from the nearest facet plane, so it is the minimum of linear functions, concave on each
-triangle and bounded from above by each of them.  The deepest dent is found by branch and bound, with a certain result.  The
-search does not use which triangles are neighbours, so triangle soups will do, and it also finds an edge flipped the wrong way,
-where every vertex lies on the hull and the surface does not.
-
 Points are in float64 at unit size about the centre of the bounding box, and depths relative to its diagonal, so that the unit
 of length does not matter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -43,11 +36,8 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import bounding_box, check_mesh, welded
 from scan3d.geometry.triangles import (
     areas,
-    distinct_rows,
     dot,
-    halve,
     largest_of_three,
-    longest_first,
     mirrored_faces,
     opposite_edges,
     spanned,
@@ -66,14 +56,8 @@ NEAR_CONVEX_DEPTH = 1e-4
 DENT_TOLERANCE = 1e-5
 """Deepest dent of a body that counts as convex: touch cannot tell it from its hull, and float32 files of fine meshes and CAD
 exports have dents of 1e-7 to 1e-6 from rounding alone."""
-NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
-"""Depth below which a dent is not determined, because it is rounding."""
 HULL_OF_MESH = "convex hull of the mesh"
 """What a body is called that was taken in the place of a mesh that is not convex."""
-# Distances of probes from planes in one step of the search for the deepest dent.
-_PROBES = 2_000_000
-# Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.
-_NEARBY = 0.02
 
 
 def outward_faces(points: Array, faces: Index) -> Index | None:
@@ -270,22 +254,6 @@ def against_hull(facets: Facets) -> tuple[Array, float]:
     return planes[chosen], (3 * max(float(depth.max()), 0.0) + hole) * big_r / r
 
 
-@dataclass(frozen=True)
-class Hull:
-    """Convex hull of points at unit size."""
-
-    facets: Index
-    """(h, 3) triangles, outward."""
-    planes: Array
-    """(p, 4) the distinct planes of the facets: n·x + d <= 0 inside."""
-    facet_plane: Index
-    """(h,) which plane a facet lies in."""
-    by_place: cKDTree
-    """Of the facets' centres."""
-    by_direction: cKDTree
-    """Of the normals of the planes."""
-
-
 def outward_facets(qhull: ConvexHull) -> Index | None:
     """The facets (h, 3) of a hull, which Qhull orients at random, counterclockwise from outside; None if they are no closed
     surface."""
@@ -295,74 +263,6 @@ def outward_facets(qhull: ConvexHull) -> Index | None:
         return None
     facets[mirrored] = facets[mirrored, ::-1]
     return facets[:, ::-1] if np.linalg.det(qhull.points[facets]).sum() < 0 else facets
-
-
-def outward_hull(points: Array) -> Hull:
-    """Convex hull of points (n, 3) with its facets turned outwards."""
-    qhull = ConvexHull(points)
-    facets = outward_facets(qhull)
-    assert facets is not None  # the hull of a body is one closed surface
-    first, facet_plane = distinct_rows(qhull.equations)
-    planes = qhull.equations[first]
-    return Hull(facets, planes, facet_plane, cKDTree(points[facets].mean(axis=1)), cKDTree(planes[:, :3]))
-
-
-def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
-    """Upper bound of the depth of triangles (t, 3, 3) below their hull, and the point (3,) where they are deepest.
-
-    The depth on a triangle is at most the largest depth of its corners below any one plane.  Triangles that this bound does
-    not exclude are probed at their corners and centres.  The planes nearest to the probes improve the bounds of all other
-    triangles, and the probed triangles are halved until bounds and probes agree.  While no dent is known, many more triangles
-    are halved and bounded by the planes nearby, because the dents of rounding are so many and so alike that probing each would
-    take minutes.
-    """
-    upper = _bounds(corners, hull)
-    deepest, excluded, where = 0.0, 0.0, corners[np.argmax(upper), 0]
-    while True:
-        remaining = upper > max(1.001 * deepest, NEGLIGIBLE_DENT)
-        excluded = max(excluded, float(upper[~remaining].max(initial=0.0)))
-        if not remaining.any():
-            return max(deepest, excluded), where
-        corners, upper = corners[remaining], upper[remaining]
-        order = np.argsort(-upper)
-        corners, upper = corners[order], upper[order]
-
-        count = max(4, _PROBES // (4 * (len(hull.planes) + 3 * len(upper))))
-        probes = np.concatenate([corners[:count].reshape(-1, 3), corners[:count].mean(axis=1)])
-        depths = _depths(probes, hull.planes)
-        depth, nearest = depths.min(axis=1), np.unique(depths.argmin(axis=1))
-        if depth.max() > deepest:
-            deepest, where = float(depth.max()), probes[depth.argmax()]
-
-        shallow = deepest <= DENT_TOLERANCE
-        # while no dent is known, many are halved, which takes as long as the probes
-        count = 4_000 if shallow else count
-        longest = longest_first(corners[:count])[:, :, None]
-        halves = halve(np.take_along_axis(corners[:count], longest, axis=1))[0]
-        bounds = np.tile(upper[:count], 2)
-        if shallow:
-            bounds = np.minimum(bounds, _bounds(halves, hull))
-        corners, upper = np.concatenate([corners[count:], halves]), np.concatenate([upper[count:], bounds])
-        upper = np.minimum(upper, _depths(corners, hull.planes[nearest]).max(axis=1).min(axis=1))
-
-
-def _depths(points: Array, planes: Array) -> Array:
-    """Depths (..., p) of points (..., 3) below planes (p, 4)."""
-    return -(points @ planes[:, :3].T + planes[:, 3])
-
-
-def _bounds(corners: Array, hull: Hull) -> Array:
-    """Upper bounds (t,) of the depth of triangles, by the planes of the nearest facets and those with the nearest normals."""
-    normal = unit_or_zero(spanned(corners))
-    facet = hull.by_place.query(corners.mean(axis=1), distance_upper_bound=_NEARBY)[1]
-    # the triangle may be turned inwards
-    along, against = (hull.by_direction.query(n, distance_upper_bound=_NEARBY)[1] for n in (normal, -normal))
-    bound = np.full(len(corners), np.inf)
-    for nearest in (np.append(hull.facet_plane, 0)[facet], along % len(hull.planes), against % len(hull.planes)):
-        plane = hull.planes[nearest]  # where no plane is nearby the index is one too high, and any plane gives a bound
-        np.minimum(bound, -(np.einsum("tcx,tx->tc", corners, plane[:, :3]) + plane[:, 3:]).min(axis=1), out=bound)
-    np.maximum(bound, 0, out=bound)
-    return bound
 
 
 def is_convex(mesh: Any) -> bool:

@@ -31,7 +31,7 @@ import numpy as np
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.geometry.convexity import against_hull, prepare_facets
 from scan3d.geometry.distance import Search
-from scan3d.geometry.triangles import distance_to, halve, row_minima
+from scan3d.geometry.triangles import distance_to, halve, longest_first, row_minima, without_unused
 
 if TYPE_CHECKING:
     import trimesh
@@ -83,9 +83,29 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     return Body(vertices, faces, corners, normals, volume, planes, slack, Search(corners))
 
 
-def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> list[Side]:
+def deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negligible: float) -> tuple[float, Array]:
+    """Upper bound of the depth of triangles below the surface of their convex hull, and the point (3,) where they are deepest.
+
+    points (n, 3), faces (m, 3), facets (h, 3), planes (h, 4)
+        at unit size; the hull's triangles, and their planes, n and c of ``<n, x> <= c``.
+    negligible
+        depth that is not determined further, because it is rounding.
+    """
+    bodies = []
+    for triangles, supporting, slack in ((faces, np.empty((0, 4)), np.inf), (facets, planes, 0.0)):
+        used, renumbered = without_unused(triangles)
+        turned = np.take_along_axis(renumbered, longest_first(points[triangles]), axis=1)
+        corners = points[used][turned]
+        bodies.append(Body(points[used], turned, corners, corners[:, 0], np.nan, supporting, slack, Search(corners)))
+    (found,) = one_sided_distances(((bodies[0], bodies[1]),), False, negligible)
+    return found.upper, found.point
+
+
+def one_sided_distances(
+    pairs: tuple[tuple[Body, Body], ...], exact: bool, negligible: float = NEGLIGIBLE
+) -> list[Side]:
     """The one-sided distances from each pair's source to its target; if all bodies are convex (`exact`), the larger one of the
-    distances has equal bounds."""
+    distances has equal bounds.  Bounds closer than `negligible` are not improved."""
     found, largest = _at_vertices(pairs)
     slacks = [source.slack for source, _ in pairs]
     upper = largest if exact else largest + sum(slacks) + max(slacks)
@@ -93,7 +113,7 @@ def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> li
     for (source, target), (distance, face, exactly) in zip(pairs, found, strict=True):
         farthest = int(np.where(exactly, distance, -1.0).argmax())
         start = Side(float(distance[farthest]), source.vertices[farthest], float(distance.max()))
-        sides.append(_split(source, target, face, start, upper))
+        sides.append(_split(source, target, face, start, upper, negligible))
     return sides
 
 
@@ -132,7 +152,7 @@ def _at_vertices(pairs: tuple[tuple[Body, Body], ...]) -> tuple[list[tuple[Array
     return [(*estimate, exactly) for estimate, exactly in zip(quick, known, strict=True)], largest
 
 
-def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float) -> Side:
+def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float, negligible: float) -> Side:
     """The largest distance from any point of the source to the target, by splitting faces.
 
     near (n,)
@@ -156,7 +176,7 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
         return row_minima(values.max(axis=2), faces)
 
     def gap() -> float:
-        return max(RELATIVE_GAP * lower, NEGLIGIBLE)
+        return max(RELATIVE_GAP * lower, negligible)
 
     if upper - lower <= gap():
         return Side(lower, point, upper)
