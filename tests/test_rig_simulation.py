@@ -128,8 +128,14 @@ def test_sweeps_are_straight(egg):
     poses = planned("planar")
     position = poses.position_m.copy()
     position[poses.sweeps()[2][10:], 2] += 0.003
-    with pytest.raises(InputError, match="unlike in sweep 2; cut it"):
+    with pytest.raises(InputError, match="unlike in sweep 2; give --model spatial"):
         simulate_rig(egg, replace(poses, position_m=position))
+    quaternion = poses.quaternion.copy()
+    quaternion[poses.sweeps()[2][10:]] = [1.0, 0.0, 0.0, 0.0]
+    quaternion[poses.sweeps()[2][:10]] = [0.0, 1.0, 0.0, 0.0]
+    for model in ("planar", "spatial"):
+        with pytest.raises(InputError, match="the clamp does not turn, unlike in sweep 2; cut it"):
+            simulate_rig(egg, replace(poses, quaternion=quaternion), model=model)
 
 
 def test_logs_have_the_rate_and_the_poses_of_the_plan(egg):

@@ -290,3 +290,24 @@ def test_the_clamp_may_be_turned_about_its_axis(resting):
     turned_back = np.einsum("mji,mnj->mni", about, other.force)
     assert np.abs(result.force - turned_back)[rows].max() < 1e-6
     assert np.abs(result.moment - np.einsum("mji,mnj->mni", about, other.moment))[rows].max() < 1e-6
+
+
+@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.2])
+def test_a_rod_that_comes_back_touches_again(friction):
+    """There along one line and back along another: the second contact is that of a separate sweep."""
+    body = Ellipsoid((0.4, 0.3, 0.35))
+    there = np.stack([np.linspace(0.8, -1.0, 60), np.full(60, -0.7), np.full(60, 0.12)], axis=1)
+    back = there[::-1] * [1, 1, -1.2]
+    position = np.concatenate([there, back])[None]
+    first, second = (
+        sweep(body, there[None], np.eye(3)[None], friction),
+        sweep(body, back[None], np.eye(3)[None], friction),
+    )
+    both = sweep(body, position, np.eye(3)[None], friction)
+    for part, alone in ((slice(0, 60), first), (slice(60, 120), second)):
+        assert np.array_equal(np.isfinite(both.s1[0, part]), np.isfinite(alone.s1[0]))
+        touching = np.isfinite(alone.s1[0])
+        assert touching.sum() > 10
+        assert np.abs(both.point[0, part] - alone.point[0])[touching].max() < 1e-8
+        assert np.abs(both.force[0, part] - alone.force[0])[touching].max() < 1e-7
+    assert both.end[0] == End.OFF

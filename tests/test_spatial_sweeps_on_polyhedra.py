@@ -56,3 +56,19 @@ def test_contacts_end_only_where_the_straight_rod_is_clear():
     after = np.take_along_axis(travel, np.minimum(last + 1, 63)[:, None], axis=1)
     assert (after >= end - 0.02)[left].all()
     assert (result.end == End.LOST).mean() < 0.05
+
+
+def test_strokes_on_a_flat_face_that_press_and_lift():
+    """The straight rod crosses the face at an angle, and is nowhere tangential to it: that place is not on the path."""
+    slab = trimesh.creation.box((8, 8, 2))
+    slab.apply_translation([0, 0, -1])
+    body = RoundedPolyhedron(slab.vertices, slab.faces, 0.0025)
+    at = np.linspace(-1, 1, 40)[:, None]
+    axes = np.array([Rotation.from_euler("ZXY", [azimuth, -40, 30], degrees=True).as_matrix().T for azimuth in (0, 50)])
+    height = np.sin(np.radians(40)) + 0.1 - 0.5 * (1 - at**2)
+    drawn = -axes[:, None, 1] * [1, 1, 0]
+    result = sweep(body, 0.6 * at * drawn + height * [0, 0, 1], axes, 0.2)
+    touching = np.isfinite(result.s1)
+    assert (touching.sum(axis=1) > 30).all()
+    assert not touching[:, [0, -1]].any()
+    assert np.abs(result.point[touching][:, 2] - 0.0025).max() < 1e-9

@@ -22,7 +22,7 @@ from scan3d.spatial.equilibrium import wrench
 from scan3d.spatial.sweeping import End, sweep
 from scan3d.units import UNITS_M
 
-# Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a sweep.
+# Distance from a straight line in rod lengths, and from one direction, within which a path counts as that of a sweep.
 _STRAIGHT = 1e-6
 # Sweeps that are computed at once.
 _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
@@ -58,11 +58,12 @@ def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) ->
 
     The centre line of a thick rod touches the mesh fattened by the rod's radius, and the contact force acts on it there.
 
-    Raises InputError for sweeps that begin in the body, and for clamps that turn, or do not move along -x of their frames.
+    Raises InputError for sweeps that begin in the body or in which the clamp turns, and in the planar model for clamps that do
+    not move along -x of their frames.
     """
     length = rod.length_m / metres
     for track in tracks:
-        _check_straight(track, length)
+        _check_path(track, length, model)
     if model == "spatial":
         check_simple(rod)
         return _felt_in_space(mesh, tracks, length, rod.diameter_m / metres / 2)
@@ -188,15 +189,16 @@ def _base(track: Track, length: float) -> Array:
     return np.minimum.accumulate((track.position - track.position[0]) @ track.axes[0, 0] / length)
 
 
-def _check_straight(track: Track, length: float) -> None:
+def _check_path(track: Track, length: float, model: str) -> None:
+    if np.abs(track.axes - track.axes[0]).max() > _STRAIGHT:
+        raise InputError(f"in a sweep the clamp does not turn, unlike in sweep {track.number}; cut it into several")
     travel = (track.position - track.position[0]) / length
     aside = np.abs(travel @ track.axes[0, 1:].T).max()
     backwards = np.diff(travel @ track.axes[0, 0]).max(initial=0.0)
-    turned = np.abs(track.axes - track.axes[0]).max()
-    if max(aside, backwards, turned) > _STRAIGHT:
+    if model == "planar" and max(aside, backwards) > _STRAIGHT:
         raise InputError(
-            f"in a sweep the clamp moves against the x axis of its frame on a straight line and does not turn, unlike in sweep "
-            f"{track.number}; cut it into straight sweeps"
+            "in the planar model the clamp moves against the x axis of its frame, unlike in sweep "
+            f"{track.number}; give --model spatial"
         )
 
 

@@ -18,7 +18,7 @@ import planar
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.spatial.bodies import LARGEST_TURN, Body, Patch, dot, unit
 from scan3d.spatial.equilibrium import Bent, Law, Mode, System, bent, system, wrench
-from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches
+from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches, later_touches
 
 # Steps of Newton's method with the direction of the slip frozen, where the slip is not known from the step before.
 _FROZEN_STEPS = 2
@@ -88,7 +88,7 @@ def sweep(
     """Sweeps of a round rod of length 1 past a convex body.
 
     position
-        (m, n, 3) clamp at the samples, on a straight line in each sweep.
+        (m, n, 3) clamp at the samples; it moves on a straight line from each to the next.
     axes
         (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z.
     friction
@@ -99,12 +99,14 @@ def sweep(
     effort
         steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
 
-    Raises ValueError for paths that begin in the body.
+    A rod that has lost contact touches again where its path leads it back.  Raises ValueError for paths that begin in the body.
     """
     place, mu = np.asarray(position, dtype=float), np.asarray(friction, dtype=float)
     mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, place.shape[:2])
     lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort)
-    lanes.run(first_touches(body, lanes.paths))
+    touch = first_touches(body, lanes.paths)
+    while len(touch.number):
+        touch = later_touches(body, lanes.paths, *lanes.run(touch))
     s1 = lanes.results.s1
     touching = np.where(s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP)
     lanes.results.phase[:] = np.where(np.isfinite(s1), touching, planar.Phase.NONE)
@@ -220,11 +222,17 @@ class _Lanes:
         # Newton's method ends at each border of a piece of a polyhedron
         self._patience = 9 if body.smooth else 25
 
-    def run(self, touch: Touch) -> None:
-        """Follow sweeps from their touch-downs to the end of their contacts."""
+    def run(self, touch: Touch) -> tuple[Index, Array]:
+        """Follow sweeps from their touch-downs to the end of their contacts.
+
+        Returns the numbers of the sweeps that lost contact before the end of the path, and the places where they did.
+        """
         self._lanes = self._started(touch)
+        self._left = [(touch.number[:0], touch.progress[:0])]
         while len(self._lanes.number):
             self._round()
+        number, progress = (np.concatenate(column) for column in zip(*self._left, strict=True))
+        return number, progress
 
     def _started(self, touch: Touch) -> _States:
         """Lanes (k,) at touch-down."""
@@ -465,7 +473,7 @@ class _Lanes:
         self._snap(halved[snaps])
         lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
         self._restart(rows)
-        self._finish(rows[off], End.OFF)
+        self._leave(rows[off])
         self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > 1e4)], End.LOST)
 
     def _snap(self, rows: Index) -> None:
@@ -491,8 +499,13 @@ class _Lanes:
         # hardly any force presses it to the body
         leaves = ~rests & (equations.normal_force[rows] < 0.05)
         clear = lanes.target[rows] >= lanes.clear_after[rows]
-        self._finish(rows[leaves & clear], End.OFF)
+        self._leave(rows[leaves & clear])
         self._finish(rows[(leaves & ~clear) | (~rests & (lanes.flow_steps[rows] > _FLOW_STEPS))], End.LOST)
+
+    def _leave(self, rows: Index) -> None:
+        """End the contact of lanes whose rod has come free of the body."""
+        self._left.append((self._lanes.number[rows], self._lanes.target[rows]))
+        self._finish(rows, End.OFF)
 
     def _finish(self, rows: Index, end: End) -> None:
         rows = rows[self._lanes.number[rows] >= 0]

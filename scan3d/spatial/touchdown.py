@@ -3,7 +3,7 @@
 On a straight path of a clamp that does not turn, the body is seen along the rod as a convex figure in the plane, whose support
 function is that of the body at the normals across the rod.  The clamp moves along a line in that plane, which enters the figure
 and leaves it.  Where the contact would lie beyond the rod's tip, the path of the tip decides.  Newton's method makes
-both exact.
+both exact.  Other paths are straight from sample to sample.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _FOUND = 1e-10
 
 
 class Paths:
-    """Straight paths of m clamps that do not turn, with n samples: `position` (m, n, 3) and `axes` (m, 3, 3)."""
+    """Paths of m clamps that do not turn, straight from each of n samples to the next: (m, n, 3), with axes (m, 3, 3)."""
 
     def __init__(self, position: Array, axes: Array) -> None:
         self.samples = position.shape[1]
@@ -51,11 +51,14 @@ class Paths:
         number = np.clip(progress, 0, self.samples - 2).astype(np.intp)
         return np.asarray(self.position[:, lane, number + 1] - self.position[:, lane, number])
 
-    def fractions(self) -> Array:
-        """(m, n) where the samples are along their paths, from 0 to 1."""
+    def straight(self) -> tuple[Mask, Array]:
+        """Which paths (m,) are straight lines, and the samples' places (m, n) along them, from 0 to 1."""
         start = self.position[:, :, :1]
         travel = self.position[:, :, -1:] - start
-        return np.asarray(dot(self.position - start, travel) / dot(travel, travel))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = dot(self.position - start, travel) / dot(travel, travel)
+            away = np.abs(start + place * travel - self.position).max(axis=(0, 2))
+        return np.asarray((away < _FOUND) & (np.diff(place, axis=1) > 0).all(axis=1)), place
 
 
 class _Motion(NamedTuple):
@@ -98,7 +101,7 @@ def passages(body: Body, position: Array, along: Array, travel: Array) -> Passag
     """Passages of n straight rods of length 1 at `position` (3, n), in directions `along` (3, n), moving by `travel` (3, n)."""
     parts = [
         _passages(body, *(column[:, first : first + _RODS] for column in (position, along, travel)))
-        for first in range(0, position.shape[1], _RODS)
+        for first in range(0, max(position.shape[1], 1), _RODS)
     ]
     return Passage(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
@@ -216,26 +219,52 @@ class Touch(NamedTuple):
 
 
 def first_touches(body: Body, paths: Paths) -> Touch:
-    """The touch-down of every path that has one: a straight path crosses the body once.
+    """The first touch-down of every path that has one.  Raises ValueError if a rod is in the body from the beginning."""
+    straight, place = paths.straight()
+    rows = np.flatnonzero(straight)
+    clamp = paths.clamp(rows, np.zeros(len(rows)))
+    passage = passages(body, clamp.position, clamp.y, paths.position[:, rows, -1] - clamp.position)
+    _check_begin(rows[passage.touches & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)])
+    found = np.flatnonzero(passage.touches & (passage.begin >= -NEGLIGIBLE) & (passage.begin < 1))
+    place = place[rows[found]]
+    begin, end = _progress(place, np.maximum(passage.begin[found], 0.0)), _progress(place, passage.end[found])
+    on_lines = Touch(rows[found], begin, end, passage.s1[found], passage.feature[found], passage.coordinates[:, found])
+    others = np.flatnonzero(~straight)
+    parts = on_lines, later_touches(body, paths, others, np.full(len(others), -1.0))
+    return Touch(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
-    Raises ValueError if a rod is in the body from the beginning.
+
+def later_touches(body: Body, paths: Paths, number: Index, after: Array) -> Touch:
+    """The next touch-downs, after some places (k,), of the paths `number` (k,): each of their steps is a straight path.
+
+    Of a path that is straight there is none, as it crosses the body once.
     """
-    number = np.arange(paths.position.shape[1])
-    clamp = paths.clamp(number, np.zeros(len(number)))
-    passage = passages(body, clamp.position, clamp.y, paths.position[:, :, -1] - clamp.position)
-    inside = passage.touches & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)
-    if inside.any():
-        raise ValueError(
-            f"the rod must not be in the body at the beginning of a sweep, as it is in sweep {np.argmax(inside)}"
-        )
-    rows = np.flatnonzero(passage.touches & (passage.begin >= -NEGLIGIBLE) & (passage.begin < 1))
-    place = paths.fractions()[rows]
-    begin, end = _progress(place, np.maximum(passage.begin[rows], 0.0)), _progress(place, passage.end[rows])
-    return Touch(rows, begin, end, passage.s1[rows], passage.feature[rows], passage.coordinates[:, rows])
+    chosen = ~paths.straight()[0][number]
+    number, after = number[chosen], after[chosen, None]
+    count = paths.samples - 1
+    lane, step = np.repeat(number, count), np.tile(np.arange(float(count)), len(number))
+    clamp = paths.clamp(lane, step)
+    passage = passages(body, clamp.position, clamp.y, paths.speed(lane, step))
+    _check_begin(lane[passage.touches & (step == 0) & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)])
+    enters, leaves = (
+        np.where(passage.touches & (part >= -NEGLIGIBLE) & (part < 1), step + part, np.inf).reshape(-1, count)
+        for part in (passage.begin, passage.end)
+    )
+    enters[enters < after] = np.inf
+    begin, rows = enters.min(axis=1), np.flatnonzero(np.isfinite(enters).any(axis=1))
+    begin = np.maximum(begin[rows], 0.0)
+    end = np.where(leaves[rows] > begin[:, None], leaves[rows], np.inf).min(axis=1)
+    at = rows * count + enters[rows].argmin(axis=1)
+    return Touch(number[rows], begin, end, passage.s1[at], passage.feature[at], passage.coordinates[:, at])
+
+
+def _check_begin(number: Index) -> None:
+    if len(number):
+        raise ValueError(f"the rod must not be in the body at the beginning of a sweep, as it is in sweep {number[0]}")
 
 
 def _progress(place: Array, wanted: Array) -> Array:
-    """Places (k,) in samples of fractions of paths whose samples are at the fractions (k, n); beyond them likewise."""
+    """Places (k,) in samples of fractions of straight paths whose samples are at the fractions (k, n); beyond them likewise."""
     step = np.minimum((place[:, 1:] <= wanted[:, None]).sum(axis=1), place.shape[1] - 2)
     rows = np.arange(len(place))
     return np.asarray(step + (wanted - place[rows, step]) / (place[rows, step + 1] - place[rows, step]))
