@@ -254,7 +254,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": _grown(analysis.recording),
-        "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _systematic_off(cloud, bounds),
+        "parts": bounds.parts() | _off(cloud, bounds),
         "volume": list(bounds.volume),
     }
 
@@ -342,23 +342,17 @@ def _allowed(cloud: Cloud, bounds: Enclosure) -> Allowed | None:
     return allowed(cloud, bounds.confidence) if 0 < bounds.confidence < 1 else None
 
 
-def _noise_off(cloud: Cloud, bounds: Enclosure) -> float:
-    """The largest error of a contact by noise and digits that the bounds allow for."""
-    allow = _allowed(cloud, bounds)
-    if cloud.place_sd is None or allow is None or allow.kappa is None:
-        return bounds.margin
-    return bounds.margin + allow.kappa * float(cloud.place_sd.max())
+def _off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
+    """The largest errors of a contact that the bounds allow for: by noise and digits, and those that are the same in all rows.
 
-
-def _systematic_off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
-    """The largest error of a contact that is the same in all rows, as ``{"systematic": size}``, as the bounds allow for it.
-
-    It is that of the rig's calibration and of the wrench; without either the dictionary is empty.
+    The latter are those of the rig's calibration and of the wrench; without either there are none.
     """
+    allow, noise = _allowed(cloud, bounds), bounds.margin
+    if cloud.place_sd is not None and allow is not None and allow.kappa is not None:
+        noise += allow.kappa * float(cloud.place_sd.max())
     if cloud.calibration is None:
-        return {}
-    allow = _allowed(cloud, bounds)
-    return {"systematic": 0.0 if allow is None else allow.largest}
+        return {"noise": noise}
+    return {"noise": noise, "systematic": 0.0 if allow is None else allow.largest}
 
 
 def _calibration(recording: Recording, cloud: Cloud) -> dict[str, Any]:

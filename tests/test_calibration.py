@@ -418,7 +418,7 @@ def test_a_rig_is_read_back_as_it_was(tmp_path, noisy):
         else:
             assert one == other, field.name
     assert found.reference["kind"] == kind
-    assert np.isnan(found.diameter_m) == np.isnan(found.sphere_m).all() == (kind == "plane")
+    assert ("diameter_mm" in found.reference) == ("position_mm" in found.reference) == (kind != "plane")
     assert found.applied(recording).rod == calibration.rod
 
 

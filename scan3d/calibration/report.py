@@ -96,16 +96,6 @@ class Calibration(Described):
         """(k,) expanded uncertainties, with the coverage factor 2."""
         return COVERAGE_FACTOR * self.standard_deviations
 
-    @property
-    def sphere_m(self) -> Array:
-        """(3,) centre of the reference sphere in the world; NaN for a plane."""
-        return np.array(self.reference.get("position_mm", [np.nan] * 3)) / 1000
-
-    @property
-    def diameter_m(self) -> float:
-        """Diameter of the reference sphere; NaN for a plane."""
-        return float(self.reference.get("diameter_mm", np.nan)) / 1000
-
     def frames(self) -> tuple[Frame, Frame]:
         """The sensor's frame in the clamp's, and the clamp's in that of the recorded poses."""
         return (

@@ -1,4 +1,4 @@
-"""Mesh files: they are read, and judged whether they are closed, and whether they are convex."""
+"""Mesh files: they are read, as other programs write them, and judged whether they are closed, and whether they are convex."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from trimesh.exchange.load import mesh_loaders
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.gltf import read_glb
-from scan3d.files.mesh_text import is_binary_stl, plain, text_stl
 from scan3d.files.reading import check_file
 from scan3d.geometry import convexity, triangles
 from scan3d.geometry.distance import bounding_box
@@ -34,6 +33,11 @@ OPEN_TOLERANCE = 1e-3
 # What scan3d writes on the unit at the beginning of a PLY, an STL or an OBJ, and how many bytes are searched for it.
 _UNIT = re.compile(rb"(?m)(?:scan3d surface\W+|^comment )unit (%s)\b" % "|".join(UNITS_M).encode())
 _HEAD = 1 << 12
+_STL_START, _STL_ROW = 84, 50
+_TEXTS = ("obj", "off", "stl", "ply")
+_VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+([^\n]*)", re.MULTILINE | re.IGNORECASE)
+_END = re.compile(rb"^[ \t]*end[ \t]*solid\b[^\n]*\s*\Z", re.MULTILINE | re.IGNORECASE)
+_RELATIVE = re.compile(rb"^[ \t]*f\b[^#\n]*[ \t/]-\d", re.MULTILINE)
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "mm") -> trimesh.Trimesh:
@@ -338,11 +342,11 @@ def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
     """
     if kind == "glb":
         meshes = read_glb(data, scale)
-    elif kind == "stl" and not is_binary_stl(data):
-        corners = text_stl(plain(kind, data))
+    elif kind == "stl" and not _is_binary_stl(data):
+        corners = _text_stl(_plain(kind, data))
         meshes = [(scale * corners, np.arange(len(corners)).reshape(-1, 3))]
     else:
-        raw = mesh_loaders[kind](io.BytesIO(plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
+        raw = mesh_loaders[kind](io.BytesIO(_plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
         parts = [part for part in raw.get("geometry", {"mesh": raw}).values() if part.get("faces") is not None]
         bodies = [trimesh.Trimesh(part["vertices"], part["faces"], process=False) for part in parts]  # of triangles
         meshes = [(scale * np.asarray(body.vertices), np.asarray(body.faces)) for body in bodies]
@@ -350,3 +354,89 @@ def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise IndexError("a face has a vertex that does not exist")
     return meshes
+
+
+# --- meshes as other programs write them, and trimesh does not expect them ---
+
+
+def _plain(kind: str, data: bytes) -> bytes:
+    """The bytes of a mesh file without what trimesh does not expect.
+
+    Of text these are a byte order mark, line ends of old computers, decimal commas and, in OBJ, tabs, comments after the
+    numbers and relative indices; of binary STL what comes after the triangles.  Raises InputError for a relative index before
+    the first vertex, and for a binary STL with more triangles than its header counts.
+    """
+    if kind == "stl" and _is_binary_stl(data):
+        return _counted_triangles(data)
+    if kind not in _TEXTS or (kind == "ply" and b"\nformat ascii" not in data[:1000].replace(b"\r", b"\n")):
+        return data
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        data = data.decode("utf-16", errors="replace").encode()
+    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"," in data:
+        data = re.sub(rb"(?<=\d),(?=\d)", b".", data)
+    if kind != "obj":
+        return data
+    data = re.sub(rb"[ \t]*#[^\n]*", b"", data) if b"#" in data else data
+    data = data.replace(b"\t", b" ").replace(b"\\\n", b" ")
+    return _counted_from_the_start(data) if _RELATIVE.search(data) else data
+
+
+def _is_binary_stl(data: bytes) -> bool:
+    """Whether a file has room for the triangles that the header of a binary STL counts; letters would count 100 million."""
+    return len(data) >= _STL_START and 0 < _STL_ROW * _stl_count(data) <= len(data) - _STL_START
+
+
+def _stl_count(data: bytes) -> int:
+    return int.from_bytes(data[_STL_START - 4 : _STL_START], "little")
+
+
+def _counted_triangles(data: bytes) -> bytes:
+    """A binary STL without what comes after its triangles."""
+    end = _STL_START + _STL_ROW * _stl_count(data)
+    if len(rest := data[end:]) >= _STL_ROW and rest.strip(b"\0\t\n\r "):
+        raise InputError(
+            f"its header counts {_stl_count(data)} triangles, and {len(rest) // _STL_ROW} more may follow; export it again"
+        )
+    return data[:end]
+
+
+def _text_stl(data: bytes) -> Array:
+    """Corners (n, 3) of the triangles of an STL in text, whatever its solids are called.  Raises ValueError for other text."""
+    lines = _VERTEX.findall(data)
+    corners = np.fromstring(b" ".join(lines).decode("latin-1"), sep=" ")
+    if len(corners) != 3 * len(lines) or len(lines) % 3 or (lines and not _END.search(data)):
+        raise ValueError("cut off")
+    return corners.reshape(-1, 3)
+
+
+def _counted_from_the_start(data: bytes) -> bytes:
+    """An OBJ whose faces count vertices, texture coordinates and normals from the first one of the file.
+
+    A negative index counts back from the last one that precedes the face.
+    """
+    seen = {b"v": 0, b"vt": 0, b"vn": 0}
+
+    def absolute(reference: bytes) -> bytes:
+        numbers = []
+        for what, number in zip(seen, reference.split(b"/"), strict=False):
+            if number.startswith(b"-"):
+                index = seen[what] + 1 + int(number)
+                if index < 1:
+                    raise InputError(
+                        f"a face has the relative index {int(number)}, and only {seen[what]} entries of that kind come "
+                        "before it; export the mesh again"
+                    )
+                number = b"%d" % index
+            numbers.append(number)
+        return b"/".join(numbers)
+
+    lines = []
+    for line in data.splitlines():
+        words = line.split()
+        if words and words[0] in seen:
+            seen[words[0]] += 1
+        elif words and words[0] == b"f":
+            line = b" ".join([b"f", *map(absolute, words[1:])])
+        lines.append(line)
+    return b"\n".join(lines)

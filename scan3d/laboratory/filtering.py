@@ -12,15 +12,14 @@ from scan3d.errors import InputError
 from scan3d.laboratory.air import SD_OVER_MAD
 
 
-def sampling_rate(clock: Array, where: str) -> float:
-    """Rows per second.  Raises InputError if the time steps are too uneven for a filter."""
+def sampling_rate(clock: Array | None, where: str) -> float:
+    """Rows per second.  Raises InputError without times (n,), and if their steps are too uneven for a filter."""
+    if clock is None or clock[0] == clock[-1]:
+        raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
     steps = np.diff(clock)
-    median = float(np.median(steps)) if len(steps) else 0.0
+    median = float(np.median(steps))
     if median <= 0:
-        mean = float(clock[-1] - clock[0]) / max(len(steps), 1)
-        if mean <= 0:
-            raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
-        return 1 / mean
+        return len(steps) / float(clock[-1] - clock[0])
     if np.percentile(np.abs(steps - median), 95) > median / 2:
         raise InputError(
             f"{where}: [filter] needs even time steps, and those of the table differ by more than half of their median of "

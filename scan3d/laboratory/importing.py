@@ -299,9 +299,7 @@ def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sens
 def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
     if not (map.lowpass_hz or map.rate_hz):
         return sensed
-    if log.time_s is None:
-        raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
-    rate = filtering.sampling_rate(clock, where)
+    rate = filtering.sampling_rate(log.time_s, where)
     if not map.lowpass_hz:
         return sensed._replace(rate=rate)
     wrench = filtering.low_pass(sensed.wrench, clock, map.lowpass_hz, rate, where)

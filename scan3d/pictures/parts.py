@@ -303,8 +303,8 @@ def has_rods(scene: Scene) -> bool:
     return scene.recording is not None and scene.column("row") is not None
 
 
-def shown_sweep(scene: Scene, number: int | None = None) -> ShownSweep:
-    """A sweep of the recording, the most informative one unless a number is given.
+def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> ShownSweep:
+    """A sweep of the recording, the most informative one unless a number is given; `points` are those of a curved part.
 
     Raises InputError if the scene has no recording, or contacts that do not come from the recording.
     """
@@ -325,7 +325,7 @@ def shown_sweep(scene: Scene, number: int | None = None) -> ShownSweep:
         in_plane = np.column_stack([force, recording.moment_Nm[rows] / rod.moment_unit_Nm])
         plane = axes[:, :2]
     across, along, moment = in_plane.T
-    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, 60)
+    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
     finite = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
     kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
     scale = 1 / UNITS_M[scene.unit]
