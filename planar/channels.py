@@ -85,7 +85,7 @@ def complete(
     columns = [np.zeros_like(np.asarray(x0, dtype=float)) if column is None else column for column in given.values()]
     reactions = checked_reactions(x0, *columns)
     missing, side = NAMES.index(absent[0]), -direction
-    rod = Rod() if rod is None else rod
+    rod = Rod() if rod is None else rod.steady()
     if side < 0:
         rod = rod.mirrored()
     # a sweep in +x is the mirror image of a sweep in -x

@@ -113,7 +113,7 @@ def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
 
 
 def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
-    carried = np.stack([f0x, f0y]) + rod.weight * rod.down[:, None]
+    carried = np.stack([f0x, f0y]) + rod.pull
     force, s, c = _polar(*carried)
     found = march.contacts(rod, -carried, -m0z)
     alpha = 2 * np.arctan2(s, c)

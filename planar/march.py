@@ -18,6 +18,7 @@ knot of the rod's table.  The tangent ``cos φ, sin φ`` is marched in the place
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -60,21 +61,21 @@ def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
     """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
 
     def places(rows: Index, steps: int) -> Array:
-        found = _contacts(rod, force[:, rows], moment[rows], steps)
+        found = _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
         return np.stack([found.s1, found.x, found.y])
 
     steps = enough_steps(places, np.hypot(*force) + np.abs(moment))
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
-    parts = [_contacts(rod, force[:, rows], moment[rows], steps) for rows in blocks]
+    parts = [_contacts(rod.rows(rows), force[:, rows], moment[rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def free_reactions(rod: Rod) -> tuple[float, float, float]:
     """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away."""
-    moment = 0.0
+    moment, nothing, rod = 0.0, np.zeros((2, 1)), rod.steady()
     for _ in range(100):  # a clamp that gives: a contraction for clamps that hold
-        slope = np.array([np.pi / 2 + rod.compliance * moment])
-        before, moment = moment, float(overhang(rod)(np.zeros(1), np.exp(1j * slope))[0])
+        state = started(rod, np.array([np.pi / 2 + rod.compliance * moment]), np.zeros(1), nothing, nothing)
+        before, moment = moment, -float(excess(overhang(rod), 0.0, state)[0])
         if abs(moment - before) <= 1e-15:
             break
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
@@ -142,7 +143,7 @@ def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     # past the tip the rod goes on with the stiffness there and without weight
     ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
     with np.errstate(all="ignore"):
-        state = started(np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
+        state = started(rod, np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
         unknown = np.full((4, len(moment)), np.nan)
         found = Marched(unknown[0], unknown[1], unknown[2], unknown[3], excess(hangs, 0.0, state))
         rows, before, span = crossings(
@@ -155,14 +156,19 @@ def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     return found
 
 
-def started(slope: Array, moment: Array, place: Array, force: Array) -> Array:
-    """States (7, n) of rods by slopes (n,), moments (n,), places (2, n) and contact forces (2, n)."""
-    return np.stack([np.cos(slope), np.sin(slope), moment, *place, *force])
+def started(rod: Rod, slope: Array, moment: Array, place: Array, force: Array) -> Array:
+    """States of rods by slopes (n,), moments (n,), places (2, n) and contact forces (2, n): these seven rows, and two of the
+    rod's weight as a force if it has one."""
+    state = np.stack([np.cos(slope), np.sin(slope), moment, *place, *force])
+    return np.concatenate([state, np.broadcast_to(rod.pull, force.shape)]) if rod.weight else state
 
 
 def excess(hangs: Overhang, s: ArrayLike, state: Array) -> Array:
-    """(n,) moments ``e`` of states (7, n) over those of the parts of the rod that hang free."""
-    return np.asarray(state[2] - hangs(s, state[0] + 1j * state[1]))
+    """(n,) moments ``e`` of states over those of the parts of the rod that hang free."""
+    turn = state[0] + 1j * state[1]
+    if len(state) > 7:  # seen from where gravity points down
+        turn = turn * (-state[8] - 1j * state[7]) / np.hypot(state[7], state[8])
+    return np.asarray(state[2] - hangs(s, turn))
 
 
 def _refine(
@@ -202,20 +208,21 @@ def tableau() -> tuple[Array, Array, Array]:
 
 
 def step(rod: Rod, state: Array, s: Array | float, length: Array | float) -> Array:
-    """States (7, n), ``cos φ, sin φ, M, x, y`` and the contact force, of rods one step past arc length `s`.
+    """States (`started`), ``cos φ, sin φ, M, x, y``, contact force and weight, of rods one step past arc length `s`.
 
     `s` and `length` are numbers or (n,).
     """
     stages, weights, nodes = tableau()
     stiffness, past = rod.profile.along(s, length, nodes)
     rates = np.empty((5, len(nodes), state.shape[1]))
-    now, (fx, fy) = state[:3], state[5:]
+    now, (fx, fy) = state[:3], state[5:7]
     for i in range(len(nodes)):
         if i:
             now = state[:3] + length * (stages[i, :i] @ rates[:3, :i])
         cosine, sine, moment = now
         if rod.weight > 0:
-            fx, fy = state[5] + past[i] * rod.down[0], state[6] + past[i] * rod.down[1]
+            part = past[i] / rod.weight
+            fx, fy = state[5] + part * state[7], state[6] + part * state[8]
         bend = moment / stiffness[i] + rod.curvature
         np.multiply(-bend, sine, out=rates[0, i])
         np.multiply(bend, cosine, out=rates[1, i])
@@ -226,20 +233,25 @@ def step(rod: Rod, state: Array, s: Array | float, length: Array | float) -> Arr
 
 Overhang = Callable[[ArrayLike, Array], Array]
 """Moments (n,) at the roots of parts of a rod that hang free past arc lengths s, one or (n,), with tangents ``exp(iφ)`` (n,)
-there."""
+there, φ from an axis across gravity, which points along ``-i``."""
+
+
+def overhang(rod: Rod) -> Overhang:
+    """The moment ``M_o(s, φ)`` of a rod.  Raises ValueError where it is so heavy that it hangs, or stands, in more than one
+    shape."""
+    return _overhang(replace(rod, gravity=(0.0, -1.0) if rod.weight else None, compliance=0.0))
 
 
 @lru_cache(maxsize=8)
-def overhang(rod: Rod) -> Overhang:
+def _overhang(rod: Rod) -> Overhang:
     """The moment ``M_o(s, φ)``: a polynomial in s between two knots, whose coefficients are Fourier series in φ.
 
-    The rod is marched back from its tip, free of force and moment, for slopes of the tip all around.  Raises ValueError where
-    the rod is so heavy that it hangs, or stands, in more than one shape.
+    The rod is marched back from its tip, free of force and moment, for slopes of the tip all around.
     """
     if rod.weight == 0:
         return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
     turns = np.arange(_TIP_SLOPES) * (2 * np.pi / _TIP_SLOPES)
-    state = started(np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
+    state = started(rod, np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
     orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
     nodes = chebyshev.chebpts1(_LENGTHS)[::-1]
     tables = []

@@ -212,6 +212,8 @@ def reconstruct(
         given = f"an array of the shape {zero.shape}" if zero.ndim else f"{zero}"
         raise ValueError(f"tolerance must lie between 0 and 1, got {given}")
     rod = Rod() if rod is None else rod
+    if rod.down.shape not in ((2,), (len(reactions.x0), 2)):
+        raise ValueError(f"gravity must have one direction, or one for each row, got {len(rod.down)}")
     if method == "will" and not rod.is_straight_and_uniform:
         raise ValueError("method 'will' is for straight, uniform, weightless rods; use 'closed-form', which takes any")
     zeta = None
@@ -229,7 +231,13 @@ def reconstruct(
         zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
         zero_block = zero[rows] if zero.ndim else zero
         _fill(
-            block, Reactions(*(column[rows] for column in reactions)), method, rod, zeta_block, zero_block, -direction
+            block,
+            Reactions(*(column[rows] for column in reactions)),
+            method,
+            rod.rows(rows),
+            zeta_block,
+            zero_block,
+            -direction,
         )
     return contacts
 

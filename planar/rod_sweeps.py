@@ -90,9 +90,11 @@ def _back(rod: Rod, course: Course, place: Array, tangential: Mask, force: Array
     slope, x, y = course.at(place)
     alpha = slope + course.friction_angle
     at, phi = np.where(tangential, other, 1.0), np.where(tangential, slope, other)
+    rod = rod.rows(course.contour)
     hangs = march.overhang(rod)
     carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
-    state = march.started(phi, hangs(at, np.exp(1j * phi)), np.stack([x, y]), carried)
+    state = march.started(rod, phi, np.zeros(len(phi)), np.stack([x, y]), carried)
+    state[2] = -march.excess(hangs, at, state)
     inflected = np.zeros(len(at), dtype=bool)
     for lower in march.grid(rod.profile, steps)[::-1]:
         below = np.minimum(at, lower)

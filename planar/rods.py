@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array
+from planar.arrays import Array, Index
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,13 @@ class Rod:
     weight: float = 0.0
     """Weight of the whole rod in ``EI(0)/L²``, spread as the square of the diameter."""
     gravity: ArrayLike | None = None
-    """Direction (2,) of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight."""
+    """Direction of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight:
+    one (2,), or one for each row that is reconstructed, or for each of many sweeps, (n, 2)."""
     compliance: float = 0.0
     """Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment."""
     profile: Profile = field(init=False, repr=False, compare=False)
     down: Array = field(init=False, repr=False, compare=False)
-    """Unit vector (2,) of gravity; 0 without weight."""
+    """Unit vectors of gravity, (2,) or (n, 2); 0 without weight."""
 
     def __post_init__(self) -> None:
         knots, diameters = np.array([0.0, 1.0]), np.array([1.0, float(self.tip_diameter)])
@@ -119,10 +120,14 @@ class Rod:
         down = np.zeros(2)
         if self.weight > 0:
             down = np.asarray(np.nan if self.gravity is None else self.gravity, dtype=float)
-            if down.shape != (2,) or not (np.isfinite(down).all() and down.any()):
-                raise ValueError(f"a rod with weight needs the direction (2,) of gravity, got {self.gravity}")
-            object.__setattr__(self, "gravity", tuple(down.tolist()))
-            down = down / np.hypot(*down)
+            right = down.ndim in (1, 2) and down.shape[-1] == 2
+            if not (right and np.isfinite(down).all() and down.any(axis=-1).all()):
+                raise ValueError(
+                    f"a rod with weight needs the direction (2,) of gravity, or one for each row, got {self.gravity}"
+                )
+            if down.ndim == 1:
+                object.__setattr__(self, "gravity", tuple(down.tolist()))
+            down = down / np.linalg.norm(down, axis=-1, keepdims=True)
         profile = Profile(tuple(knots.tolist()), tuple(diameters.tolist()), float(self.weight))
         object.__setattr__(self, "profile", profile)
         object.__setattr__(self, "down", down)
@@ -136,6 +141,21 @@ class Rod:
     def is_straight_and_uniform(self) -> bool:
         """Whether it is the rod of the paper."""
         return self.is_uniform and self.curvature == 0
+
+    @property
+    def pull(self) -> Array:
+        """(2, 1) the rod's weight as a force, or (2, n) for rows with a gravity each."""
+        return self.weight * np.atleast_2d(self.down).T
+
+    def rows(self, rows: slice | Index) -> Rod:
+        """The rod of some of the rows of which each has its gravity."""
+        return replace(self, gravity=self.down[rows]) if self.down.ndim == 2 else self
+
+    def steady(self) -> Rod:
+        """The rod itself.  Raises ValueError if each row has its gravity."""
+        if self.down.ndim == 2:
+            raise ValueError("gravity must have one direction (2,) here")
+        return self
 
     def mirrored(self) -> Rod:
         """The mirror image, x → -x."""

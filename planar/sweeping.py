@@ -239,6 +239,8 @@ def sweep_all(
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     for contour in contours:
         check_contour(contour)
+    if rod is not None and rod.down.shape not in ((2,), (len(contours), 2)):
+        raise ValueError(f"gravity must have one direction, or one for each sweep, got {len(rod.down)}")
     frictions = [_checked_friction(mu) for mu in friction]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 
@@ -258,7 +260,7 @@ def sweep_all(
         if rod is None or rod.is_straight_and_uniform:
             swept = _sweep_path(path, *columns, spread)
         else:
-            swept = _sweep_rod(path, *columns, spread, rod)
+            swept = _sweep_rod(path, *columns, spread, rod.rows(np.array(members)))
         sweeps.update(zip(members, swept, strict=True))
     return [sweeps[i] for i in range(len(contours))]
 
@@ -391,7 +393,7 @@ def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], sp
     states = rod_sweeps.states(rod, tables, course, base)
     swept, touching = _empty(base, friction), np.isfinite(states.x0)
     slope, x, y = course.at(states.place)
-    weight = rod.weight * rod.down
+    weight = rod.rows(contour).pull
     swept.f0x[:], swept.f0y[:] = -states.force * np.sin(slope + angle), states.force * np.cos(slope + angle)
     swept.f0x[:], swept.f0y[:], swept.m0z[:] = swept.f0x - weight[0], swept.f0y - weight[1], -states.moment
     swept.s1[:] = np.where(states.tangential, np.minimum(states.other, 1.0), 1.0)

@@ -90,7 +90,7 @@ def _of_closed_form(across: Array, along: Array, moment: Array) -> Array:
 def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Array:
     """`jacobian` of any rod, by central differences of its contacts."""
     reactions = np.stack([across, along, moment])
-    force = np.hypot(*(reactions[:2] + rod.weight * rod.down[:, None]))
+    force = np.hypot(*(reactions[:2] + rod.pull))
     columns = []
     for k, change in enumerate(_DIFFERENCE * np.stack([force, force, np.abs(moment)])):
         ends = []
@@ -171,8 +171,8 @@ def _completed(spread: Array, missing: str, known: str, known_sd: float, tip: Ma
     held = np.array([0.0, 0.0, 0.0, 0.0, 1.0] if known == "friction" else [0.0, 0.0, 0.0, 1.0, direction])
     weights = np.where(tip[:, None], [0.0, 0.0, 1.0, 0.0, 0.0], held)
     rate = np.einsum("nr,nrc->nc", weights, spread)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         change = spread[:, :, column] / rate[:, column, None]
-    completed: Array = spread - change[:, :, None] * rate[:, None, :]
+        completed: Array = spread - change[:, :, None] * rate[:, None, :]
     completed[:, :, column] = change * np.where(tip, 0.0, known_sd)[:, None]
     return completed

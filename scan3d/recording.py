@@ -22,8 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import planar
 from scan3d import numbers
 from scan3d.arrays import Array, Index, Mask, evenly
+from scan3d.channels import Known
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations, check_positions
 from scan3d.rigs import RigUncertainty, one_rig
@@ -47,6 +49,9 @@ _FINE = 1e-4
 # Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
 # is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
 _DITHER = 3**0.5
+FORCE_SIGMAS = 8.0
+"""A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
+nearly none does."""
 LARGEST_OVER_SD = 3.0
 """The largest error by rounding of three coordinates, over the standard deviation of one."""
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
@@ -136,6 +141,8 @@ class Recording(Shown):
     """Needed with a rod that has a weight."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Where the data came from, for the report."""
+    completed: Known | None = None
+    """What is known in the place of a reaction that was not measured, and of which it is; None if all were."""
     rig: RigUncertainty | None = None
     """What is not known exactly of the calibrated rig that corrected poses, wrenches and rod; None if that is not known, or if
     there is nothing of the kind."""
@@ -185,6 +192,11 @@ class Recording(Shown):
             raise InputError(
                 "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is tared"
             )
+        if self.completed is not None and (self.rig is not None or self.six_axis or self.rod.weight_N):
+            raise InputError(
+                "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; measure "
+                "all of fx, fy and mz"
+            )
         if self.rig is not None and not isinstance(self.rig, RigUncertainty):
             raise InputError(f"recording: rig must be a scan3d.rigs.RigUncertainty, got {type(self.rig).__name__}")
 
@@ -219,7 +231,10 @@ class Recording(Shown):
             together(self.noise_moment_Nm, moment),
             self.noise_pose_m,
             place * LARGEST_OVER_SD,
-            self.noise_force_N >= _DITHER * force and self.noise_moment_Nm >= _DITHER * moment,
+            self.noise_force_N >= _DITHER * force
+            and self.noise_moment_Nm >= _DITHER * moment
+            # a wrong coefficient of friction is the same in all rows
+            and not (self.completed is not None and self.completed.friction_sd),
         )
 
     def reactions(self, six_axis: bool) -> tuple[Array, Array]:
@@ -240,6 +255,20 @@ class Recording(Shown):
             in_air = free_reactions(self.rod.in_space(), down.T)
             force, moment = force + in_air[0].T, moment + in_air[1].T
         return force, moment
+
+    def pressing(self, six_axis: bool) -> Array:
+        """(n, 3) what the contact adds to the support reaction, ``-F`` in EI/L²; as `reactions`."""
+        down, force = self.down(), self.wrench()[0] if six_axis else np.pad(self.force_N, ((0, 0), (0, 1)))
+        force = force / self.rod.force_unit_N
+        if down is None or self.gravity is None or self.gravity.tared:
+            return force
+        weight = self.rod.profile.weight
+        added = force + weight * down
+        return np.asarray(np.where(np.abs(added) > 1e-12 * weight, added, 0.0))
+
+    def in_plane(self) -> planar.Rod:
+        """The rod of the planar model, with gravity in each row.  Raises InputError if it leaves the planes of the sweeps."""
+        return self.rod.in_plane(self.down(), self.noise.place_m / self.rod.length_m)
 
     def down(self) -> Array | None:
         """(n, 3) unit vectors of gravity in the clamp's frame; None for rods without weight."""
@@ -382,6 +411,34 @@ def of_rows(recording: Recording, rows: Mask | Index) -> Recording:
     return replace(recording, **columns)
 
 
+def completed(recording: Recording) -> tuple[Recording, Mask]:
+    """The recording with the channel that was not measured, from what is known in its place, and which rows (n,) it has.
+
+    Rows in which the other channels leave several contacts open are left out: they are not evidence of air.  Raises InputError
+    for channels that do not tell, and if no row is left.
+    """
+    known, rod = recording.completed, recording.rod
+    assert known is not None
+    force, moment = recording.reactions(six_axis=False)
+    reactions = {"f0x": force[:, 0], "f0y": force[:, 1], "m0z": moment[:, 2]}
+    least = FORCE_SIGMAS * max(recording.noise.of_reactions(rod))
+    pressed = (np.linalg.norm(force, axis=1) > least) | (np.abs(moment[:, 2]) > least)
+    found = known.complete(reactions, np.flatnonzero(pressed), -1, rod.in_plane())
+    kept = np.isfinite(found)
+    if not (kept & pressed).any():
+        raise InputError(
+            f"in all of the {int(pressed.sum())} rows with a force the two reactions that were measured leave no contact, or "
+            f"several, with {known.words}; measure a third one"
+        )
+    forces, found = recording.force_N.copy(), np.nan_to_num(found)
+    if known.channel == "m0z":
+        recording = replace(recording, moment_Nm=found * rod.moment_unit_Nm)
+    else:
+        forces[:, list(reactions).index(known.channel)] = found * rod.force_unit_N
+        recording = replace(recording, force_N=forces)
+    return of_rows(recording, kept), kept
+
+
 def joined(recordings: Sequence[Recording]) -> Recording:
     """Several recordings as one, their sweeps numbered one after the other; six-axis if all of them are.
 
@@ -390,7 +447,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     last = recordings[-1]
     if len(recordings) == 1:
         return last
-    for name, what in (("rod", "rod"), ("gravity", "gravity"), ("unit", "unit"), ("table_m", "table")):
+    alike = {"rod": "rod", "gravity": "gravity", "unit": "unit", "table_m": "table", "completed": "channel completed"}
+    for name, what in alike.items():
         if any(getattr(recording, name) != getattr(last, name) for recording in recordings):
             raise InputError(
                 f"the recording has another {what} than those before; recordings are joined with one {what}"
@@ -418,6 +476,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         unit=last.unit,
         table_m=last.table_m,
         gravity=last.gravity,
+        completed=last.completed,
         source=last.source,
         rig=one_rig([recording.rig for recording in recordings]),
     )

@@ -166,12 +166,27 @@ class Rod:
         table = tuple((self.length_m * s, self.bending_stiffness_Nm2 * d**4) for s, d in rows) if self.varies else ()
         return replace(self, diameter_m=0.0, diameter_table=(), tip_diameter_m=None, stiffness_table=table)
 
-    def in_plane(self) -> planar.Rod:
-        """The rod of `planar`, in the units (1).  Raises InputError if it does not stay in the plane of a sweep."""
+    def in_plane(self, down: Array | None = None, sag: float = 0.0) -> planar.Rod:
+        """The rod of `planar`, in the units (1).
+
+        down
+            (3,) or (n, 3) unit vectors of gravity in the clamp's frame; needed with a weight.
+        sag
+            deflection of the free tip out of the plane, in rod lengths, that counts as rounding.
+
+        Raises InputError if the rod does not stay in the plane of a sweep.
+        """
         import planar
 
-        if self.weight_N:
-            raise InputError("a rod with weight needs the spatial model, which knows gravity: a recording of six axes")
+        weight = self.profile.weight
+        if weight and down is None:
+            raise InputError("a rod with weight needs gravity in the frame of its clamp, which only a recording knows")
+        # of a uniform cantilever under its weight, which a tapered one stays below
+        if weight and weight / 8 * float(abs(down[..., 2]).max()) > sag + planar.TOLERANCE:  # type: ignore[index]
+            raise InputError(
+                "the rod's weight bends it out of the plane of its sweep, because gravity does not lie in that plane: sweep in "
+                "planes that contain gravity, or measure six axes for the spatial model"
+            )
         about, *out_of_plane = self.curvatures
         if any(out_of_plane):
             raise InputError(
@@ -182,6 +197,8 @@ class Rod:
         return planar.Rod(
             stiffness=stiffness if self.varies else None,
             curvature=about * self.length_m,
+            weight=weight,
+            gravity=down[..., :2] if weight and down is not None else None,
             compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm,
         )
 

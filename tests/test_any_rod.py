@@ -1,5 +1,7 @@
 """Tapered, curved and heavy rods in clamps that give, against reference values, scipy's integrators and the closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -309,3 +311,26 @@ def test_rods_that_are_too_heavy_and_methods_for_other_rods():
         planar.free_reactions(Rod(weight=20.0, gravity=(0, -1)))
     with pytest.raises(ValueError, match="'will' is for straight"):
         planar.reconstruct(0.0, -0.5, 0.1, 0.5, "will", rod=Rod(tip_diameter=0.5))
+
+
+def test_rows_may_have_a_gravity_each():
+    rng, triangle = np.random.default_rng(3), planar.Polygon([(-0.3, 1.0), (0.0, 0.6), (0.3, 1.0)])
+    gravity = np.array([(0.0, -1.0), (1.0, 0.2), (-0.6, 2.0)])
+    rod = replace(EVERYTHING, gravity=gravity)
+    swept = planar.sweep_all([triangle] * 3, [0.3] * 3, samples=8, rod=rod)
+    alone = [planar.sweep(triangle, 0.3, samples=8, rod=replace(EVERYTHING, gravity=down)) for down in gravity]
+    rows, shuffled = np.concatenate([np.array(sweep.reactions).T for sweep in swept]), rng.permutation(24)
+    np.testing.assert_allclose(rows, np.concatenate([np.array(sweep.reactions).T for sweep in alone]), atol=1e-9)
+    own = replace(EVERYTHING, gravity=np.repeat(gravity, 8, axis=0)[shuffled])
+    found = planar.reconstruct(*rows[shuffled].T, rod=own)
+    truth = np.concatenate([sweep.point for sweep in alone])[shuffled]
+    touching = np.hypot(*(rows[shuffled, 1:3].T + own.pull)) > 0.01
+    assert touching.sum() > 12
+    np.testing.assert_allclose(found.point[touching], truth[touching], atol=1e-9)
+    for call, words in (
+        (lambda: planar.reconstruct(*rows[:5].T, rod=own), "one for each row, got 24"),
+        (lambda: planar.sweep_all([triangle], [0.3], samples=3, rod=own), "one for each sweep, got 24"),
+        (lambda: planar.free_reactions(own), "one direction"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()

@@ -1,5 +1,7 @@
 """Contacts from two of three reactions, against the sweep that made them and against drawn noise."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -171,3 +173,51 @@ def test_errors_by_axial_force_and_moment_are_those_of_drawn_noise(seeds):
     chi = np.einsum("ni,nij,nj->n", off, inverse, off) / 2
     assert len(chi) > 8 * seeds
     assert abs(chi.mean() - 1) < max(0.2, 5 / np.sqrt(len(chi)))
+
+
+# Root mean square errors of the place by noise of 0.005 on each channel that is measured, over the tangential contacts of a
+# sweep, or those at the tip: median and 90th percentile, by channels, of a uniform rod and of one of half the diameter at its
+# tip.  What stands for the channel: the friction angle of 0.3 or of 0, the slope, or the tip.
+PUBLISHED = [
+    (None, 0.3, "", ((0.0025, 0.006), (0.0035, 0.012))),
+    ("m0z", 0.3, "friction", ((0.0008, 0.0035), (0.0006, 0.005))),
+    ("f0y", 0.3, "friction", ((0.0013, 0.004), (0.0013, 0.008))),
+    ("f0y", 0.3, "slope", ((0.0017, 0.006), (0.0013, 0.007))),
+    ("f0x", 0.0, "friction", (None, (0.0027, 0.015))),
+    ("f0x", 0.3, "friction", ((0.013, 0.029), (0.0025, 0.010))),
+    ("f0x", 0.3, "tip", ((0.0017,), (0.0033,))),
+    ("m0z", 0.3, "tip", ((0.0017,), (0.0033,))),
+]
+
+
+@cache
+def swept_once(friction, rod):
+    return planar.sweep(CIRCLE, friction, samples=60, rod=rod)
+
+
+@pytest.mark.parametrize(("missing", "friction", "known", "published"), PUBLISHED)
+def test_errors_of_each_set_of_channels_are_the_published_ones(missing, friction, known, published):
+    draws = 24
+    for rod, figures in zip((planar.Rod(), CONE), published, strict=True):
+        if figures is None:  # one number measured twice
+            continue
+        swept = swept_once(friction, rod)
+        phase = planar.Phase.TIP if known == "tip" else planar.Phase.TANGENTIAL
+        rows = np.flatnonzero((swept.phase == phase) & felt(swept))
+        reactions = [column[rows] for column in swept.reactions[1:]]
+        told = {} if missing is None else {"missing": missing, "known": "slope" if known == "slope" else "friction"}
+        stated = planar.errors(*reactions, noise=(0.005, 0.005), rod=rod, **told, tip=known == "tip")
+        rms = np.sqrt(np.trace(stated.point, axis1=1, axis2=2))
+        np.testing.assert_allclose(np.percentile(rms, (50, 90))[: len(figures)], figures, rtol=0.2)
+        # and those of contacts found from drawn noise, so small that they are linear in it
+        if missing is None or not rod.is_uniform:
+            continue
+        true = np.repeat(np.array(swept.reactions)[:, rows], draws, axis=1)
+        drawn = true + 1e-4 * np.random.default_rng(2).standard_normal(true.shape) * [[0], [1], [1], [1]]
+        given = [None if name == missing else column for name, column in zip(("x0", *CHANNELS), drawn, strict=True)]
+        slope = np.repeat(np.nan_to_num(swept.slope[rows]), draws)
+        instead = {"friction": friction, "slope": slope, "tip": True}[known]
+        done = planar.complete(*given, **{known: instead}, near=true[1 + CHANNELS.index(missing)], rod=rod)
+        off = planar.reconstruct(*done.reactions, rod=rod, tolerance=0.2).point.reshape(len(rows), draws, 2)
+        drawn_rms = np.sqrt(((off - swept.point[rows][:, None]) ** 2).sum(axis=2).mean(axis=1)) * 50
+        np.testing.assert_allclose(np.nanmedian(drawn_rms), figures[0], rtol=0.25)

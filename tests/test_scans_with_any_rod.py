@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import planar
 import scan3d
@@ -125,16 +126,42 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
     assert back.rod == rod
     with pytest.raises(InputError, match="needs \\[gravity\\]"):
         recording(force, moment, None)
-    with pytest.raises(InputError, match="needs the spatial model"):
-        scan3d.reconstruct(whole, model="planar")
+    with pytest.raises(InputError, match="bends it out of the plane of its sweep"):
+        scan3d.reconstruct(replace(whole, rod=replace(rod, curvature_per_m=-3.0)), model="planar")
+
+
+def test_planar_scans_with_heavy_rods_find_the_body_where_gravity_lies_in_their_planes(tmp_path):
+    mesh, rod = trimesh.creation.icosphere(1, 8.0), replace(WIRE, weight_N=0.1 * WIRE.force_unit_N)
+    plan = scan3d.Plan(slices=1, sweeps=2, samples=12, spacing="uniform", rod=rod, gravity=Gravity((0.3, -1, 0), True))
+    recording = scan3d.simulate(mesh, plan)
+    scan3d.write_recording(recording, tmp_path / "recording.csv")
+    stored = scan3d.read_recording(tmp_path / "recording.csv")
+    # a sensor that was not tared shows the weight as well
+    air = np.array([planar.free_reactions(rod.in_plane(down)) for down in recording.down()])
+    force, moment = air[:, :2] * rod.force_unit_N, air[:, 2] * rod.moment_unit_Nm
+    whole = replace(
+        recording,
+        force_N=recording.force_N + force,
+        moment_Nm=recording.moment_Nm + moment,
+        gravity=Gravity((0.3, -1, 0), False),
+    )
+    clouds = [scan3d.reconstruct(log) for log in (stored, whole)]
+    for cloud in clouds:
+        assert len(cloud) >= 20
+        off = distances(cloud.fattened.points, mesh) - 500 * rod.diameter_m
+        assert np.abs(off).max() < 1e-9 * 1000 * rod.length_m
+        assert np.nanmedian(cloud.friction) == pytest.approx(0.3, abs=1e-6)
+    np.testing.assert_array_equal(*(cloud.row for cloud in clouds))
+    with pytest.raises(InputError, match="gravity does not lie in that plane"):
+        scan3d.simulate(mesh, replace(plan, gravity=Gravity((0, -1, 0.1), True)))
+    with pytest.raises(InputError, match="needed with a rod that has a weight"):
+        scan3d.Plan(rod=rod)
 
 
 def test_scans_in_space_are_simulated_with_simple_rods_only():
     mesh = scan3d.load_mesh(MESH)
     with pytest.raises(InputError, match="simulate this rod with the planar model"):
         scan3d.simulate(mesh, scan3d.Plan(slices=4, model="spatial", rod=CONE))
-    with pytest.raises(InputError, match="needs the spatial model"):
-        scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, weight_N=0.01)))
     with pytest.raises(InputError, match="out of its clamp's xy plane"):
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))))
 

@@ -150,8 +150,7 @@ def sheets_of(recording: Recording, cloud: Cloud, beyond: float = 0.0) -> list[S
     """
     if cloud.model == "spatial" or not len(cloud.slice_height):
         raise InputError("free space in slices needs the planar model; a cloud of the spatial model has no slices")
-    bent = recording.rod.in_plane()
-    if not (bent is None or bent.is_straight_and_uniform):
+    if not recording.rod.is_simple:
         raise InputError("free space is known of rods that are straight, uniform and weightless only")
     rods = rods_of(recording, cloud)
     left = np.ones(len(cloud.slice_height), dtype=bool)

@@ -34,6 +34,11 @@ def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) 
         else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
         _of_noise(recording, cloud),
+        *(
+            []
+            if recording.completed is None
+            else [Premise(recording.completed.words, False, "not tested: it was stated")]
+        ),
     )
 
 

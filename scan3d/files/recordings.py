@@ -8,12 +8,15 @@ The TOML file contains the rod, the noise, what is not known exactly of a calibr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan3d.channels import COLUMNS as REACTIONS
+from scan3d.channels import Known
 from scan3d.errors import InputError
 from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.binary_tables import parquet_bytes
@@ -22,7 +25,7 @@ from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together
 from scan3d.poses import MOVES, Move
-from scan3d.recording import Recording
+from scan3d.recording import Recording, completed
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity
 from scan3d.units import UNITS_M
@@ -85,6 +88,13 @@ def recording_files(
     meta |= {"rod": rod, "noise": noise | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})}
     if recording.gravity is not None:
         meta["gravity"] = {"direction": recording.gravity.direction, "tared": recording.gravity.tared}
+    if (told := recording.completed) is not None:
+        instead = (
+            {"contact": "tip"}
+            if told.friction is None
+            else {"friction": told.friction, "friction_sd": told.friction_sd}
+        )
+        meta["known"] = {"channel": told.channel, **instead}
     if recording.rig is not None:
         known = recording.rig
         meta["rig"] = {"quantities": known.names, "covariance": known.covariance.tolist(), "exact": known.exact}
@@ -103,11 +113,24 @@ def gravity_of(section: Section, tared: bool = REQUIRED) -> Gravity:
         return Gravity((x, y, z), section.boolean("tared", tared))
 
 
+def read_known(section: Section) -> Known:
+    """The section ``[known]``: what is known in the place of a reaction that was not measured."""
+    friction = section.number("friction", None, at_least=0)
+    tip = section.word("contact", ("any", "tip")) == "tip"
+    sd, channel = section.number("friction_sd", 0.0, at_least=0), section.text("channel", "")
+    if tip == (friction is not None):
+        raise section.error("", "needs friction, or contact = 'tip', which says that all contacts are at the tip")
+    with section.errors_named():
+        return Known(friction, sd, channel)
+
+
 def read_recording(path: str | Path) -> Recording:
     """Read the table of a recording and its TOML file.  Raises InputError with the name of the file and the error in it."""
     path = Path(path)
     table = read_table(locate(path), what="recording", name=path.name)
-    columns = _known_columns(path, table.names)
+    meta = _read_sidecar(path)
+    told = read_known(meta.section("known")) if "known" in meta else None
+    columns = _known_columns(path, table.names, told)
     if _MOVE in table.names:
         # a column without any sweep is not that of a rig: all rows are read
         column = table.names.index(_MOVE)
@@ -116,7 +139,8 @@ def read_recording(path: str | Path) -> Recording:
     at = {name: table.names.index(name) for name in columns}
     sweep = table.whole_numbers(at.pop("sweep"))
     values = {name: table.numbers(column) for name, column in at.items()}
-    meta = _read_sidecar(path)
+    zero = np.zeros(len(sweep))
+    missing = [channel for channel, name in REACTIONS.items() if name not in values]
     noise = meta.section("noise")
     force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
     rig, of_rig = None, meta.section("rig")
@@ -134,38 +158,52 @@ def read_recording(path: str | Path) -> Recording:
     }
     meta.finish(", and notes belong into [source]")
     known |= {field: values[name] for name, field in SIX_AXES.items() if name in values}
+    if told is not None:
+        known["completed"] = replace(told, channel=missing[0]) if missing else told
     try:
-        return Recording(
+        recording = Recording(
             sweep=sweep,
             position_m=np.stack([values[name] for name in ("x_m", "y_m", "z_m")], axis=1),
             quaternion=np.stack([values[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
-            force_N=np.stack([values["fx_N"], values["fy_N"]], axis=1),
-            moment_Nm=values["mz_Nm"],
+            force_N=np.stack([values.get("fx_N", zero), values.get("fy_N", zero)], axis=1),
+            moment_Nm=values.get("mz_Nm", zero),
             noise_force_N=force,
             noise_moment_Nm=moment,
             noise_pose_m=pose,
             **known,
         )
+        return completed(recording)[0] if missing else recording
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
 
-def _known_columns(path: Path, header: Sequence[str]) -> tuple[str, ...]:
-    """The columns of a header that are read.  Raises InputError unless it has every column of a recording once."""
+def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tuple[str, ...]:
+    """The columns of a header that are read.
+
+    Raises InputError unless it has every column of a recording once, but for one reaction for which something `known` stands.
+    """
     missing = [name for name in COLUMNS if name not in header]
-    if missing:
+    expected = [name for name in COLUMNS if name in header]
+    if known is not None and not (
+        (not missing and known.channel) or (len(missing) == 1 and missing[0] in REACTIONS.values())
+    ):
+        raise InputError(
+            f"{path.name}: [known] of its TOML file stands for one of {', '.join(REACTIONS.values())}, and the header "
+            f"lacks {', '.join(missing) or 'none'}"
+        )
+    if missing and known is None:
         raise InputError(
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             f"(scan3d simulate writes such a table); one sweep in one plane has the columns x0, f0x, f0y, m0z"
         )
-    further = [name for name in SIX_AXES if name in header]
+    further = [name for name in SIX_AXES if name in header] if known is None else []
     if further and len(further) < len(SIX_AXES):
         absent = ", ".join(name for name in SIX_AXES if name not in further)
         raise InputError(
             f"{path.name}: six-axis data need {', '.join(SIX_AXES)}, but the header lacks {absent}; add what was measured, or "
             f"rename {', '.join(further)} to read the recording by the planar model"
         )
-    columns = (*COLUMNS, *further)
+    columns = (*expected, *further)
     repeated = [name for name in columns if header.count(name) > 1]
     if repeated:
         raise InputError(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scan3d import numbers
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
+from scan3d.channels import COLUMNS
 from scan3d.errors import InputError
 from scan3d.files.reading import Section
 from scan3d.files.text_tables import Table, read_table
@@ -29,13 +30,14 @@ from scan3d.laboratory.logs import CHANNELS, Log, read_log
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
 from scan3d.numbers import share
-from scan3d.reconstruction.errors import FORCE_SIGMAS
-from scan3d.recording import Recording, reaction_columns
+from scan3d.recording import FORCE_SIGMAS, Recording, completed, reaction_columns
 from scan3d.ringing import ringing
 from scan3d.spatial import inverse
 
 KIND = "import"
 """What the source of an imported recording is."""
+# The channels of a planar recording.
+_IN_PLANE = np.array([0, 1, 5])
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
 # Part of the rows that another frame of the wrench must make those of a bent rod to be named.
@@ -183,7 +185,7 @@ def _converted(table: Table, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
     sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
-    wrench, known = _clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
+    wrench, known = _clamp_wrench(sensed.wrench, log.present, map, table.name)
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     _check_range(position, map, table.name)
     noise = _clamp_noise(sensed.noise, map, known)
@@ -199,6 +201,10 @@ def _converted(table: Table, map: Map) -> Imported:
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[filtering.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
+    count = len(kept)
+    if recording.completed is not None:
+        recording, single = completed(recording)
+        kept = kept[single]
     if log.time_s is not None:
         recording = replace(recording, source={**recording.source, "speed_m_per_s": _speed(recording, clock[kept])})
     _check_sizes(recording, map, table.name)
@@ -217,7 +223,8 @@ def _converted(table: Table, map: Map) -> Imported:
             "without numbers": len(table) - len(log),
             "between sweeps": int((sweep < 0).sum()),
             "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()),
-            "thinned": len(within) - len(kept),
+            "thinned": len(within) - count,
+            "left open by the channels": count - len(kept),
         },
         air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in sensed.stretches),
         air_fraction=float(sensed.air.mean()),
@@ -315,21 +322,31 @@ def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> 
     return sensed._replace(wrench=wrench, noise=left, blurred=blurred, factor=factor, rate=rate, notes=notes)
 
 
-def _clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tuple[Array, Mask]:
+def _clamp_wrench(wrench: Array, present: Mask, map: Map, where: str) -> tuple[Array, Mask]:
     """The wrench (n, 6) in the clamp's frame, and which of its channels (6,) the sensor's channels determine.
 
-    Raises InputError if fx, fy and mz of the clamp are not among them, with the channel that is missing.
+    Raises InputError if fx, fy and mz of the clamp are not among them, with the channel that is missing; of one of them
+    something else may be known in its place.
     """
+    sensor = map.sensor
     matrix = wrench_matrix(sensor.turn, sensor.position_m)
     scale = np.abs(matrix).max(axis=1, keepdims=True)
     needed = np.abs(matrix) > 1e-12 * scale  # less is rounding of the turn
     known: Mask = ~(needed & ~present).any(axis=1)
-    for channel in (0, 1, 5):
-        if not known[channel]:
+    missing = [channel for channel in _IN_PLANE if not known[channel]]
+    if map.known is not None and len(missing) != 1:
+        raise InputError(
+            f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, and of these {len(missing)} are "
+            'missing; leave its column empty (""), or leave out [known]'
+        )
+    for channel in missing:
+        if map.known is None:
             absent = ", ".join(CHANNELS[k] for k in np.flatnonzero(needed[channel] & ~present))
             raise InputError(
                 f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or "
                 "moves it; add the column, or give the wrench in the clamp's frame"
+                if not sensor.trivial
+                else f"{where}: {absent} was not measured; [known] of {map.name} may state friction, or contact = 'tip'"
             )
     return (wrench if sensor.trivial else np.where(known, wrench @ matrix.T, 0.0)), known
 
@@ -391,6 +408,9 @@ def _recording(
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
         rig=map.uncertainty,
         gravity=map.gravity,
+        completed=None
+        if map.known is None
+        else replace(map.known, channel=list(COLUMNS)[int(np.argmin(known[_IN_PLANE]))]),
     )
 
 

@@ -80,8 +80,8 @@ def read_log(table: Table, map: Map) -> Log:
             raise InputError(
                 f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
             )
-    for name, part in (("force", log.wrench[:, :3]), ("moment", log.wrench[:, 3:])):
-        if not part.any():
+    for name, channels in (("force", slice(0, 3)), ("moment", slice(3, 6))):
+        if present[channels].any() and not log.wrench[:, channels].any():
             entry = "signals" if columns.signals else name
             raise InputError(
                 f"{table.name}: the {name} is zero in all {len(log)} rows: nothing was measured; check [columns] {entry} of "

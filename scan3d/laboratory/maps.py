@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scan3d.channels import Known
 from scan3d.files.reading import REQUIRED, Section, did_you_mean, is_finite, read_rod, read_section
-from scan3d.files.recordings import TABLE, gravity_of
+from scan3d.files.recordings import TABLE, gravity_of, read_known
 from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
 from scan3d.rigs import RigUncertainty
@@ -88,6 +89,8 @@ class Map:
     """(6, k), or (3, k) for fx, fy and mz: what the k signals are multiplied by; empty without signals."""
     offset: tuple[float, ...] = ()
     """(k,) what the signals are without load."""
+    known: Known | None = None
+    """What is known in the place of one of fx, fy and mz that was not measured."""
     gravity: Gravity | None = None
     """Tared wherever the import takes off what the sensor shows in the air."""
     reversed_sign: bool = False
@@ -167,6 +170,7 @@ def _map(top: Section) -> Map:
         wrench_in=wrench.word("wrench_in", WRENCH_IN),
         wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
         air=air,
+        known=read_known(top.section("known")) if "known" in top else None,
         gravity=_gravity(top.section("gravity"), air != "none") if "gravity" in top else None,
         lowpass_hz=filters.number("lowpass_hz", None, above=0),
         rate_hz=filters.number("rate_hz", None, above=0),

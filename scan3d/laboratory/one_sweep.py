@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Mask
+from scan3d.channels import COLUMNS as REACTIONS
+from scan3d.channels import Known
 from scan3d.errors import InputError
-from scan3d.files.reading import Section, read_rod, read_section
-from scan3d.files.recordings import sidecar
+from scan3d.files.reading import read_rod, read_section
+from scan3d.files.recordings import read_known, sidecar
 from scan3d.files.text import rows_as_text
 from scan3d.files.text_tables import Table, read_table
-from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance
-from scan3d.recording import rounding_sd, together
+from scan3d.reconstruction.errors import contact_tolerance
+from scan3d.recording import FORCE_SIGMAS, rounding_sd, together
 from scan3d.rods import Rod
 
 COLUMNS = ("x0", "f0x", "f0y", "m0z")
@@ -32,20 +34,6 @@ SI_COLUMNS = ("x0_m", "f0x_N", "f0y_N", "m0z_Nm")
 _POSE = {"qw", "qx", "qy", "qz"}
 # What is not known of a contact whose force does not stand out from the noise.
 _VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope")
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known of the contacts in the place of a reaction."""
-
-    friction: float | None = None
-    """The coefficient of friction, of contacts that are tangential or at the tip; None: all contacts are at the tip."""
-    friction_sd: float = 0.0
-
-    @property
-    def angle_sd(self) -> float:
-        """Standard deviation of the friction angle, in radians."""
-        return self.friction_sd / (1 + (self.friction or 0.0) ** 2)
 
 
 @dataclass(frozen=True)
@@ -242,18 +230,9 @@ def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float, Known
     noise, names = meta.section("noise"), ("force_N", "moment_Nm") if si else ("force", "moment")
     force, moment = (noise.number(name, 0.0, at_least=0) for name in names)
     rod = read_rod(meta.section("rod")) if si and "rod" in meta else None
-    known = _read_known(meta.section("known")) if "known" in meta else None
+    known = read_known(meta.section("known")) if "known" in meta else None
     meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
     return rod, force, moment, known
-
-
-def _read_known(section: Section) -> Known:
-    friction = section.number("friction", None, at_least=0)
-    tip = section.word("contact", ("any", "tip")) == "tip"
-    sd = section.number("friction_sd", 0.0, at_least=0)
-    if tip == (friction is not None):
-        raise section.error("", "needs friction, or contact = 'tip', which says that all contacts are at the tip")
-    return Known(friction, sd)
 
 
 def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
@@ -274,7 +253,14 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     x0, rod = sweep.x0 / in_length, sweep.rod.in_plane() if sweep.rod else planar.Rod()
     stands_out = np.linalg.norm([column for column in measured[:2] if column is not None], axis=0)
     felt = stands_out > FORCE_SIGMAS * max(force, moment)
-    (f0x, f0y, m0z), assumed = _completed(sweep, x0, measured, np.flatnonzero(felt), rod)
+    names = dict(zip(REACTIONS, measured, strict=True))
+    reactions = {name: np.zeros(len(sweep)) if column is None else column for name, column in names.items()}
+    assumed: dict[str, Any] = {}
+    for name in (name for name, column in names.items() if column is None and sweep.known is not None):
+        instead = replace(sweep.known or Known(), channel=name)
+        reactions[name] = instead.complete(reactions, np.flatnonzero(felt), sweep.direction, rod)
+        assumed = instead.errors
+    f0x, f0y, m0z = reactions.values()
     common: dict[str, Any] = {"direction": sweep.direction, "rod": rod}
     found = planar.reconstruct(x0, f0x, f0y, m0z, **common)
     tip = found.phase == planar.Phase.TIP
@@ -310,33 +296,6 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         slope=_kept(errors.slope, tangential),
     )
     return SweepContacts(sweep, found, errors, (force, moment), undetermined)
-
-
-def _completed(
-    sweep: OneSweep, x0: Array, measured: list[Array | None], felt: Index, rod: planar.Rod
-) -> tuple[list[Array], dict[str, Any]]:
-    """All reactions (n,), zero where one is missing and nothing is felt; and what `planar.errors` must know of the missing one.
-
-    Reactions that two of them and what is known leave open are NaN.
-    """
-    missing = [name for name, column in zip(("f0x", "f0y", "m0z"), measured, strict=True) if column is None]
-    reactions = [np.zeros(len(sweep)) if column is None else column for column in measured]
-    if not missing or sweep.known is None:
-        return reactions, {}
-    try:
-        done = planar.complete(
-            x0[felt],
-            *(None if column is None else column[felt] for column in measured),
-            friction=sweep.known.friction,
-            tip=sweep.known.friction is None,
-            direction=sweep.direction,
-            rod=rod,
-        )
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    for column, values in zip(reactions, done.reactions[1:], strict=True):
-        column[felt] = values
-    return reactions, {"missing": missing[0], "known_sd": sweep.known.angle_sd}
 
 
 def _kept(values: Array, rows: Mask) -> Array:

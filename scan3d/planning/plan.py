@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array
 from scan3d.choices import MODELS, SPACINGS, Model, Spacing
 from scan3d.errors import InputError
-from scan3d.rods import Rod
+from scan3d.rods import Gravity, Rod
 from scan3d.units import UNITS_M, Unit
 
 LARGEST_FRICTION = 100.0
@@ -64,6 +64,8 @@ class Plan:
     rod
         a `scan3d.Rod`, in SI units; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the
         body.
+    gravity
+        a `scan3d.Gravity`, of a rod that has a weight: it must lie in the planes of the slices.
     noise
         standard deviation of force and moment, in EI/L² and EI/L.
     seed
@@ -84,6 +86,7 @@ class Plan:
     friction: float | tuple[float, float] = 0.3
     clearance: float = 0.3
     rod: Rod | None = None
+    gravity: Gravity | None = None
     noise: float = 0.0
     seed: int = 0
     unit: Unit = "mm"
@@ -111,6 +114,10 @@ class Plan:
             raise InputError(f"noise must be a number >= 0 and at most {LARGEST_NOISE:g}, got {self.noise}")
         if self.rod is not None and not isinstance(self.rod, Rod):
             raise InputError(f"rod must be a scan3d.Rod or None, got {self.rod!r}")
+        if not isinstance(self.gravity, Gravity | None) or (self.gravity is None and self.rod and self.rod.weight_N):
+            raise InputError(
+                f"gravity must be a scan3d.Gravity, needed with a rod that has a weight, got {self.gravity!r}"
+            )
         self.axes()
         if self.model == "spatial":
             self._check_spatial()
@@ -133,6 +140,11 @@ class Plan:
         if not all(map(_is_finite, ends)):
             raise InputError(f"friction must be a number >= 0, or a range of two such numbers, got {self.friction!r}")
         return float(ends[0]), float(ends[1])
+
+    def down(self, axes: Array) -> Array | None:
+        """(m, 3) gravity in the frames of clamps with axes (m, 3, 3), as rows; None unless the rod has a weight."""
+        heavy = self.rod is not None and self.rod.weight_N and self.gravity is not None
+        return np.asarray(axes @ np.array(self.gravity.direction)) if heavy and self.gravity is not None else None
 
     def axes(self) -> Array:
         """Unit normals (k, 3) of the slices."""

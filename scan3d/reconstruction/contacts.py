@@ -21,7 +21,6 @@ from scan3d.cloud import Cloud, LeftOut, NormalSource
 from scan3d.errors import InputError
 from scan3d.geometry.support import fit_support
 from scan3d.reconstruction.errors import (
-    FORCE_SIGMAS,
     LARGEST_TOLERANCE,
     NoContactError,
     contact_tolerance,
@@ -34,7 +33,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import SIX_AXES, Recording, of_rows
+from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Recording, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
@@ -87,14 +86,17 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     gives one.
     """
     rod = recording.rod
-    fx, fy = (recording.force_N / rod.force_unit_N).T
-    moment = recording.moment_Nm / rod.moment_unit_Nm
+    force, about = recording.reactions(six_axis=False)
+    fx, fy, moment = force[:, 0], force[:, 1], about[:, 2]
     known = recording.noise
     noise = known.of_reactions(rod)
-    bent = rod.in_plane()
-    error = planar.errors(fx, fy, moment, noise=noise, rod=bent)
-    columns = np.zeros(len(moment)), fx, fy, moment
-    pressed = felt(recording.force_N / rod.force_unit_N, noise)
+    bent = recording.in_plane()
+    columns, told = (np.zeros(len(moment)), fx, fy, moment), {}
+    if recording.completed is not None:
+        tip = planar.reconstruct(*columns, rod=bent).phase == planar.Phase.TIP
+        told = recording.completed.errors | {"tip": tip}
+    error = planar.errors(fx, fy, moment, noise=noise, rod=bent, **told)
+    pressed = felt(recording.pressing(six_axis=False), noise)
     tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
     radius = rod.diameter_m / 2
     if (
@@ -192,11 +194,12 @@ def on_surface(cloud: Cloud, recording: Recording) -> Cloud:
     rod, scale = recording.rod, UNITS_M[recording.unit]
     if not rod.diameter_m:
         return cloud
-    fx, fy = (recording.force_N / rod.force_unit_N)[cloud.row].T
-    moment = recording.moment_Nm[cloud.row] / rod.moment_unit_Nm
-    s1 = planar.reconstruct(np.zeros(len(fx)), fx, fy, moment, tolerance=LARGEST_TOLERANCE, rod=rod.in_plane()).s1
-    radii = rod.radius_m(s1) / scale
-    force = -np.einsum("ni,nij->nj", recording.force_N[cloud.row], recording.axes()[cloud.row, :2])
+    reaction, about = (part[cloud.row] for part in recording.reactions(six_axis=False))
+    columns = np.zeros(len(about)), reaction[:, 0], reaction[:, 1], about[:, 2]
+    bent = recording.in_plane().rows(cloud.row)
+    radii = rod.radius_m(planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).s1) / scale
+    pressing = recording.pressing(six_axis=False)[cloud.row]
+    force = -np.einsum("ni,nij->nj", pressing, recording.axes()[cloud.row])
     table = None if recording.table_m is None else recording.table_m / scale
     fattened = replace(cloud, tapered=False)
     moved = _moved_by_radius(
@@ -248,7 +251,7 @@ def readings(recording: Recording) -> Readings:
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))
-    pressed = felt(force, noise)
+    pressed = felt(recording.pressing(six_axis=True), noise)
     tolerance = tip_tolerance(recording, pressed, tolerance, "spatial")
     found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise, rod=bent, gravity=down)
     touching = pressed & (found.status == inverse.Status.OK)

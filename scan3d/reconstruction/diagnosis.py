@@ -68,6 +68,9 @@ _UNKNOWN = Diagnosis(
 
 def diagnose(recording: Recording, model: str) -> Diagnosis:
     """The likeliest fault of a recording that contradicts the model 'planar' or 'spatial'."""
+    if recording.completed is not None:
+        text = f"it rests on {recording.completed.words}: check that, the rod, and signs, units and tare of what was measured"
+        return _UNKNOWN._replace(message=text)
     wrench = np.hstack(recording.reactions(six_axis=model == "spatial"))
     noise = recording.noise.of_reactions(recording.rod)
     stuck = _stuck_rows(recording, wrench, noise)
@@ -306,7 +309,7 @@ def _sample(
     recording: Recording, model: str, wrench: Array, noise: tuple[float, float], kept: Index, parts: int
 ) -> _Sample:
     """Evenly chosen rows in contact, and those that are `kept`; a fraction 1 / parts of the usual number."""
-    axes, pressed = recording.axes(), _felt(wrench[:, :3], noise)
+    axes, pressed = recording.axes(), _felt(recording.pressing(model == "spatial"), noise)
 
     def chosen(rows: Index, count: int, kept: Index) -> Index:
         count = -(-count // parts)
@@ -330,6 +333,7 @@ def _sample(
         axes=axes[rows],
         noise=noise,
         rod=recording.rod,
+        pull=(recording.pressing(model == "spatial") - wrench[:, :3])[rows],
         down=axes[rows] @ (np.array([0.0, 0.0, -1.0]) if recording.gravity is None else recording.gravity.direction),
     )
 
@@ -351,6 +355,8 @@ class _Sample:
     """(k, 3, 3)"""
     noise: tuple[float, float]
     rod: Rod
+    pull: Array
+    """(k, 3) the weight of the stated rod as a force; 0 without."""
     down: Array
     """(k, 3) gravity in the clamp's frame."""
     rough: bool = False
@@ -376,7 +382,8 @@ class _Sample:
             return self.held
         rod = Rod(self.rod.length_m, self.rod.bending_stiffness_Nm2) if self.rough else self.rod
         if self.frames:
-            return planar.errors(force[:, 0], force[:, 1], moment[:, 2], noise=noise, rod=rod.in_plane())
+            bent = rod.in_plane(self.down, sag=np.inf)  # that of the recording stays in the plane
+            return planar.errors(force[:, 0], force[:, 1], moment[:, 2], noise=noise, rod=bent)
         return inverse.errors(force, moment, noise, rod=rod.in_space(), gravity=self.down) if max(noise) else None
 
     def left(self, undone: Undone) -> _Left:
@@ -386,7 +393,7 @@ class _Sample:
         tangents lie where they must not, or the largest misfit of rows that have no contact.
         """
         force, moment, noise = self._corrected(undone)
-        pressed = _felt(force if undone.air is None else force - undone.air[self.rows, :3], noise)
+        pressed = _felt(force + self.pull if undone.air is None else force - undone.air[self.rows, :3], noise)
         # without a zero that is taken off, reactions of rows in contact cannot have become too small to be felt
         expected = pressed | (not undone.zero.any() and undone.air is None)
         with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers

@@ -18,14 +18,11 @@ from scan3d.arrays import AT_ONCE, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.frames import displaced
-from scan3d.recording import Recording
+from scan3d.recording import FORCE_SIGMAS, Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
 from scan3d.spatial import inverse
 from scan3d.spatial.march import reshaped
 
-FORCE_SIGMAS = 8.0
-"""A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
-nearly none does."""
 LARGEST_TOLERANCE = 0.5
 """Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
 # A contact counts as one of the tip if it lies within this many standard deviations of it, by the noise or by the calibration.
@@ -89,7 +86,7 @@ def noise_in_air(recording: Recording) -> Air:
     """The noise by second differences of successive rows in the air, in which touches that begin or end do not show."""
     noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
     force, moment = (part[order] for part in recording.reactions(recording.six_axis))
-    air, sweep = ~felt(force, noise), recording.sweep[order]
+    air, sweep = ~felt(recording.pressing(recording.six_axis)[order], noise), recording.sweep[order]
     sd, channels = np.repeat(noise, 3), np.array(_REACTIONS["spatial" if recording.six_axis else "planar"])
     channels = channels[sd[channels] > 0]
     before, own, after = (np.hstack([force, moment])[k : len(order) - 4 + k, channels] for k in (1, 2, 3))
@@ -150,7 +147,7 @@ def _size(recording: Recording, rows: Index) -> Array:
     """(n,) sizes of the wrenches of some rows, no less than the median of all rows with a force."""
     force, moment = recording.reactions(recording.six_axis)
     size = np.linalg.norm(np.hstack([force, moment]), axis=1)
-    pressed = felt(force, recording.noise.of_reactions(recording.rod))
+    pressed = felt(recording.pressing(recording.six_axis), recording.noise.of_reactions(recording.rod))
     return np.asarray(np.maximum(size[rows], np.median(size[pressed]) if pressed.any() else 0.0))
 
 

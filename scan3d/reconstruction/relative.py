@@ -139,6 +139,8 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
     error changes the contacts in turn, because it decides what is told from a contact of the tip.
     """
+    if recording.completed is not None:  # a completed channel has no error of its own
+        return recording
     needed, hidden = _relative_error(recording, cloud)
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):

@@ -42,7 +42,7 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
     if not recording.noise.independent or not max(recording.noise_force_N, recording.noise_moment_Nm):
         return None
     noise = recording.noise.of_reactions(recording.rod)
-    pressed = felt(recording.force_N / recording.rod.force_unit_N, noise)
+    pressed = felt(recording.pressing(six_axis=False), noise)
     size = noise_in_air(recording).size
     limit, strict = (-(size or 1.0) * ndtri(chance / (2 * max(len(cloud), 1))) for chance in (RIGHT_ROWS, FALSE_ALARM))
     value, short = _numbered(recording), _short(recording.sweep, pressed)

@@ -140,6 +140,7 @@ def recorded(
         noise_force_N=plan.noise * rod.force_unit_N,
         noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
         unit=plan.unit,
+        gravity=plan.gravity,
         source={"kind": "simulation", "seed": plan.seed, **source},
     )
 

@@ -40,6 +40,7 @@ from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
 from scan3d.simulation.grown import grown_extent, sections
 from scan3d.simulation.spatial import simulate_spatial
+from scan3d.spatial.march import free_reactions
 from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
@@ -406,8 +407,11 @@ class AxisScan:
         friction = [drawn_friction(bounds, samples, [seed, 0, self.number, i, number]) for i, number, _ in aims]
         try:
             contours, shares = [self._contour(i, line) for i, _, line in aims], base_fractions(samples)
-            rod = None if self.plan.rod is None else self.plan.rod.in_plane()
+            down = self.plan.down(np.array([clamp_axes(line, self.frame) for *_, line in aims]))
+            rod = None if self.plan.rod is None else self.plan.rod.in_plane(down)
             results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(
                 f"this body can't be swept with a rod {length(self.length, self.plan.unit)} long and a clearance of "
@@ -462,5 +466,10 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
         np.concatenate(places)[known],
         np.concatenate(wrenches)[known],
     )
+    down = plan.down(axes)
+    if down is not None and plan.gravity is not None:
+        force, moment = free_reactions(rod.in_space(), down.T)
+        in_air = np.stack([*force[:2], moment[2]], axis=1)[of_sweep[known]]
+        wrench = np.nan_to_num(wrench - in_air) + (0.0 if plan.gravity.tared else in_air)
     source = {} if scans[0].convex else {"convex": False, "unresolved": int((~known).sum())}
     return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source)
