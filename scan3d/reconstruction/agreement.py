@@ -142,7 +142,7 @@ def _too_wild(part: float) -> Contradiction:
 
 
 def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
-    pressed = int(felt(recording.reactions(six_axis=False)[0], recording.noise.of_reactions(recording.rod)).sum())
+    pressed = int(felt(recording.pressing(six_axis=False), recording.noise.of_reactions(recording.rod)).sum())
     found = _without_contact(1 - (len(cloud) + cloud.light + cloud.second) / pressed if pressed else 0.0)
     return found + shape_contradictions(recording, cloud) if cloud.convex else found
 

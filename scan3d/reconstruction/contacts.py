@@ -196,7 +196,7 @@ def on_surface(cloud: Cloud, recording: Recording) -> Cloud:
         return cloud
     reaction, about = (part[cloud.row] for part in recording.reactions(six_axis=False))
     columns = np.zeros(len(about)), reaction[:, 0], reaction[:, 1], about[:, 2]
-    bent = recording.in_plane().rows(cloud.row)
+    bent = recording.in_plane().rows(cloud.row.astype(np.intp))
     radii = rod.radius_m(planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).s1) / scale
     pressing = recording.pressing(six_axis=False)[cloud.row]
     force = -np.einsum("ni,nij->nj", pressing, recording.axes()[cloud.row])
