@@ -174,5 +174,5 @@ def _completed(spread: Array, missing: str, known: str, known_sd: float, tip: Ma
     with np.errstate(all="ignore"):
         change = spread[:, :, column] / rate[:, column, None]
         completed: Array = spread - change[:, :, None] * rate[:, None, :]
-    completed[:, :, column] = change * np.where(tip, 0.0, known_sd)[:, None]
+        completed[:, :, column] = change * np.where(tip, 0.0, known_sd)[:, None]
     return completed
