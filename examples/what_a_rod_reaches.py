@@ -14,6 +14,7 @@ Reference: the page on bodies that are not convex, of this manual; what rods hav
 loop of two neighbouring rods.
 """
 
+import functools
 import sys
 from pathlib import Path
 
@@ -32,6 +33,7 @@ SIX = np.radians(np.arange(0, 360, 60))
 KNOWN, ESTIMATED, UNKNOWN, FREE = "#0072B2", "#9ECAE1", "#D55E00", "#DDEEDD"
 
 
+@functools.cache
 def swept(direction: float, clearance: float) -> tuple[np.ndarray, np.ndarray]:
     """Contacts (n, 2) of one sweep with the rod in a direction, and the areas (a, v, 2) that the rods have passed."""
     y = np.array([np.cos(direction), np.sin(direction)])

@@ -212,7 +212,7 @@ def by_name(truth, force, moment):
 STEADY = Truth(jitter=0.0, drift=(0.0,) * 6)
 
 
-def planar_recorded(seed=0, *, noise=0.0, sweeps=24, samples=80, tip=True):
+def planar_recorded(seed=0, *, noise=0.0, sweeps=16, samples=60, tip=True):
     """Three channels of a rod in a plane through the centre of a sphere: the recording, and the true values by name."""
     rod, radius, base = scan3d.Rod(0.06, 1.9e-4), DIAMETER / 2 / ROD.length_m, np.linspace(0.55, -0.15, samples)
     truth = replace(

@@ -2,9 +2,9 @@
 
 import functools
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
-import pytest
 from spatial_scans import recorded
 
 import scan3d
@@ -56,10 +56,14 @@ def scanned_in_space(**raster):
     return of_cloud(cloud, name="ellipsoid", surface=hull, bound=bound, recording=recording)
 
 
+def undrawn():
+    """A context in which no pictures are drawn, which take longer than all the rest."""
+    return mock.patch.object(rendering, "can_render", return_value=False)
+
+
 def scanned_folder(place):
     """The folder of an egg's scan in `place`, as the command makes it without pictures, beside its mesh."""
     (place / "egg.stl").write_bytes(EGG.read_bytes())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
+    with undrawn():
         assert main(["scan", str(place / "egg.stl"), "--out", str(place / "out"), *FEW]) == 0
     return place / "out"

@@ -178,8 +178,8 @@ def test_sweeps_solve_the_boundary_value_problem():
 )
 def test_sweeps_are_reconstructed(contour, rod, direction):
     contour, rod = CONTOURS[contour], RODS[rod] if direction < 0 else RODS[rod].mirrored()
-    friction = np.random.default_rng(0).uniform(0.0, 0.4, 60)
-    swept = planar.sweep(contour, friction, samples=60, rod=rod, direction=direction)
+    friction = np.random.default_rng(0).uniform(0.0, 0.4, 36)
+    swept = planar.sweep(contour, friction, samples=36, rod=rod, direction=direction)
     touching = swept.phase != Phase.NONE
     assert touching[1:-1].mean() > 0.95
     contacts = planar.reconstruct(*columns(swept), rod=rod, direction=direction)

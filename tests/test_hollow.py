@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from shapes import box, letter_l
+from small_scans import FOLDER, undrawn
 
 import scan3d
 from scan3d import pipeline
@@ -17,7 +18,6 @@ from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.geometry.convexity import is_convex, runs_both_ways
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame, slice_outlines
-from scan3d.pictures import rendering
 from scan3d.pictures.parts import shown_sweep
 
 FLAT = np.eye(3)
@@ -90,9 +90,8 @@ def test_faces_are_turned_alike():
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
     """A scan of an L, and its folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
-        folder = tmp_path_factory.mktemp("scans") / "out"
+    folder = tmp_path_factory.mktemp("scans") / "out"
+    with undrawn():
         return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4"), folder
 
 
@@ -183,11 +182,5 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
 
 @pytest.mark.slow
 def test_the_meshes_that_come_along_are_closed_and_not_convex():
-    for path in sorted((scan3d_root() / "meshes" / "hollow").iterdir()):
+    for path in sorted((FOLDER / "hollow").iterdir()):
         assert not is_convex(load_mesh(path))
-
-
-def scan3d_root():
-    from pathlib import Path
-
-    return Path(__file__).parents[1]

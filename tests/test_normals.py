@@ -24,7 +24,7 @@ def smooth(request):
     # the pebble is most curved where its facets are largest
     subdivisions = {"ellipsoid": 60, "egg": 100, "pebble": 200}[request.param]
     mesh = formulas.make(request.param, subdivisions=subdivisions)
-    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(friction=(0.0, 0.4))))
+    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=32, friction=(0.0, 0.4))))
     return request.param, mesh, cloud
 
 

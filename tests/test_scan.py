@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from small_scans import CUBE, EGG, FOLDER
 
 import planar
 import scan3d
@@ -21,9 +22,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
 
-FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
-EGG, CUBE = FOLDER / "egg.stl", FOLDER / "cube.stl"
 # Contacts are reconstructed to a billionth of the rod's length; rounding could take six digits more.
 EXACT = 1e-9
 TIP, TANGENTIAL = planar.Phase.TIP, planar.Phase.TANGENTIAL

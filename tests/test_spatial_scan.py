@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scans import CUBE
+from small_scans import CUBE, undrawn
 
 import scan3d
 from scan3d.cli import main
@@ -24,8 +24,7 @@ def scanned(tmp_path_factory):
     """The folder of a scan with all rounds of aimed sweeps."""
     out = tmp_path_factory.mktemp("space") / "out"
     few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull", "--quiet"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
+    with undrawn():
         assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
     return out
 
