@@ -1,11 +1,10 @@
-"""Carlson's integrals, without the help of scipy's functions where the series suffices; `test_against_mpmath` has their digits.
+"""Carlson's integrals, against scipy's functions, and without their help where the series suffices.
 
 Where the series is not accurate, scipy's functions replace it, so that an error in the series may cost time only.
 """
 
 import numpy as np
 import pytest
-import scipy
 from scipy.special import elliprd, elliprf
 
 from planar import elastica
@@ -23,6 +22,12 @@ def arguments():
     x, y = z * 10 ** -rng.uniform(0, 8, (2, 4000))
     x[:50] = 0.0
     return x, y, z
+
+
+def test_carlsons_integrals_against_scipy(arguments):
+    rf, rd = elastica.carlson_integrals(*arguments)
+    np.testing.assert_allclose(rf, elliprf(*arguments), rtol=5e-15)
+    np.testing.assert_allclose(rd, elliprd(*arguments), rtol=1e-14)
 
 
 def test_carlsons_integrals_at_each_distance_alone(arguments):
@@ -54,12 +59,3 @@ def test_elliptic_integrals_have_no_jumps():
     step = amplitude[1] - amplitude[0]
     for values, rate in ((first, 1 / root), (second, root)):
         np.testing.assert_allclose(np.diff(values), step * (rate[1:] + rate[:-1]) / 2, atol=3e-15)
-
-
-def test_points_of_a_continued_rod_do_not_jump():
-    """`partial_shape` continues past the contact; its points follow each other as evenly as their parameter."""
-    force, curvature = 3.1058634152465237, 2.1661069147803635
-    q = curvature / (2 * np.sqrt(force))
-    remaining = 2 * scipy.special.ellipk(q**2) + np.sqrt(force) * np.linspace(0, 1, 129)
-    x, y = elastica.partial_shape(np.zeros(129), np.full(129, q), remaining)
-    np.testing.assert_allclose(np.hypot(np.diff(x), np.diff(y)), np.sqrt(force) / 128, rtol=1e-4)

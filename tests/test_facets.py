@@ -13,6 +13,9 @@ from scan3d.reconstruction.facets import completed, facets, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
 
+pytestmark = pytest.mark.slow
+
+
 def polytope(vertices, seed):
     """A random body, every vertex of which lies on an ellipsoid, in a random orientation."""
     directions = np.random.default_rng(seed).normal(size=(vertices, 3))

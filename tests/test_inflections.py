@@ -71,15 +71,6 @@ def test_tips_are_pushed_and_not_pulled(friction):
     assert tips > 100
 
 
-def test_elastic_lines_of_sweeps_turn_in_one_direction_only():
-    for contour in contours():
-        swept = planar.sweep(contour, 0.3, samples=10)
-        lines = planar.elastic_lines(swept.x0[1:], swept.f0x[1:], swept.f0y[1:], swept.m0z[1:], points=50)
-        steps = np.diff(lines.curved, axis=1)
-        turn = steps[:, :-1, 0] * steps[:, 1:, 1] - steps[:, :-1, 1] * steps[:, 1:, 0]
-        assert (turn < 1e-15).all(), contour
-
-
 class InflectedRods(NamedTuple):
     """Rods (n,) with s1 = 1 whose curvature vanishes once before the tip."""
 
@@ -144,11 +135,6 @@ def test_inflected_rods_are_not_mistaken_for_tip_contacts(inflected_rods):
     assert (contacts.phase != Phase.TIP).all()
     tangential = contacts.phase == Phase.TANGENTIAL
     assert np.abs(contacts.s1 - inflected_rods.inflection)[tangential].max() < 1e-5
-
-
-def test_inflected_rods_need_more_force_than_occurs_in_the_papers_sweeps(inflected_rods):
-    sweeps = [planar.sweep(planar.Circle(0.9, (0, 1.3)), mu, samples=50) for mu in (0, 0.6)]
-    assert max(np.hypot(swept.f0x, swept.f0y).max() for swept in sweeps) < inflected_rods.f.min()
 
 
 def test_reconstruction_rejects_rods_bent_against_the_sweep(inflected_rods):

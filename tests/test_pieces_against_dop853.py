@@ -68,14 +68,6 @@ def test_ties():
     assert compare(size, np.zeros(9), phi, kappa, np.full(9, 0.9)) < 1e-10
 
 
-def test_where_scipys_elliptic_integrals_jump():
-    # ellipeinc(3.734459914..., 0.3776743...) of scipy 1.15 to 1.17 is 3.488 instead of 3.400
-    s = np.linspace(0, 1, 129)
-    phi, kappa = np.full(129, np.pi / 2), np.full(129, -2.1661069147803635)
-    end = piece(np.zeros(129), np.full(129, -3.1058634152465237), phi, kappa, s)
-    assert np.hypot(np.diff(end.x, 2), np.diff(end.y, 2)).max() < 2e-4
-
-
 def test_two_halves_are_the_whole():
     rng = np.random.default_rng(7)
     fx, fy, phi, kappa = rng.normal(size=(4, 500)) * np.array([[3], [3], [1.5], [3]])

@@ -7,27 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
-from spatial_bodies import Ellipsoid, box, spatial_cloud, unit
+from spatial_bodies import unit
 
-from scan3d.geometry.polytopes import clipped, cut_polytope, plane_faces
-
-
-def test_the_plane_faces_of_a_box():
-    cloud = spatial_cloud(box([1, 0.7, 0.5], corners=0.0), 500, 1)
-    faces = plane_faces(cloud.points, 1e-9)
-    assert len(faces) == 6
-    assert np.sort(faces[:, 3]) == pytest.approx([0.25, 0.25, 0.35, 0.35, 0.5, 0.5])
-
-
-def test_a_curved_body_has_no_plane_face():
-    assert len(plane_faces(Ellipsoid(np.ones(3)).touched(2000, np.random.default_rng(1))[0], 1e-6)) == 0
-
-
-def test_the_vertices_of_a_box():
-    cloud = spatial_cloud(box([1, 0.7, 0.5], corners=0.0), 500, 1)
-    corners = cut_polytope(plane_faces(cloud.points, 1e-9), np.empty((0, 4)), np.zeros(3), 1.0, 1e-6)
-    assert len(corners) == 8
-    assert np.abs(corners) == pytest.approx(np.tile([0.5, 0.35, 0.25], (8, 1)))
+from scan3d.geometry.polytopes import clipped, cut_polytope
 
 
 def test_tangent_planes_cut_what_faces_leave_open():

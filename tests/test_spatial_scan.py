@@ -29,15 +29,6 @@ def scanned(tmp_path_factory):
     return out
 
 
-def test_the_directions_are_spread_evenly():
-    directions = aims.icosahedron()
-    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
-    cosines = np.sort(directions @ directions.T, axis=1)
-    np.testing.assert_allclose(cosines[:, 6:11], 1 / np.sqrt(5))
-    # none of them lies along an axis of coordinates, or in a plane of two
-    assert np.abs(directions).min() > 0.02
-
-
 def test_rasters_cross_the_body(cube):
     points = np.asarray(cube.vertices) / 40
     lines = aims.rasters(points, 10, 0.3)

@@ -18,6 +18,7 @@ from scan3d.reconstruction.errors import noise_in_air
 from scan3d.report import report, summary
 from tests.robustness.bounds import false_statements
 
+pytestmark = pytest.mark.slow
 BODIES = {
     "ellipsoid": trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0])),
     "box": trimesh.creation.box((20, 14, 12)),
