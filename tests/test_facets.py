@@ -12,7 +12,6 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction.facets import completed, facets, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
-
 pytestmark = pytest.mark.slow
 
 
