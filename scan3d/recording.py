@@ -38,9 +38,6 @@ from scan3d.units import UNITS_M
 _MOST_NORMALS = 4
 # Significant digits from which a column counts as not rounded: double precision has 15 to 17.
 _FULL = 15
-# The grid's step is determined by ever larger distances, each at most this many times the one before if there is such a one:
-# digits that are missing then do not make the number of steps in the next distance uncertain.
-_GROWTH = 8.0
 # Numbers, at least, that show a grid or their digits.
 _FEWEST = 20
 # Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
@@ -387,8 +384,9 @@ def _divisor(one: float, other: float, rounding: float) -> float:
 def _refined(distances: Array, step: float) -> float:
     """The step of which all distances (n,), increasing, are multiples if there is one, from its first estimate."""
     k = 0
+    # no distance is many times the one before: digits that are missing do not make the number of steps in it uncertain
     while k < len(distances) - 1:
-        k = max(k + 1, int(np.searchsorted(distances, _GROWTH * distances[k], side="right")) - 1)
+        k = max(k + 1, int(np.searchsorted(distances, 8 * distances[k], side="right")) - 1)
         step = float(distances[k] / max(np.round(distances[k] / step), 1.0))
     return step
 

@@ -98,6 +98,22 @@ def browser_path():
     return chromium()
 
 
+@pytest.fixture(scope="module")
+def egg():
+    """A small scan of an egg, as a scene."""
+    from small_scans import EGG, scanned
+
+    return scanned(EGG)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    """A small scan of a cube, as a scene."""
+    from small_scans import CUBE, scanned
+
+    return scanned(CUBE)
+
+
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory):
     """The folder of a small scan of an egg, without pictures, beside its mesh."""

@@ -16,11 +16,6 @@ from scan3d.pictures import movie, rendering
 SIZE = (980, 560)
 
 
-@pytest.fixture(scope="module")
-def egg():
-    return scanned(EGG)
-
-
 def images(path):
     with Image.open(path) as film:
         assert film.size == SIZE

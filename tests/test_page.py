@@ -21,11 +21,6 @@ from scan3d.recording import Recording
 from scan3d.rods import Rod
 
 
-@pytest.fixture(scope="module")
-def cube():
-    return scanned(CUBE)
-
-
 def array(data):
     ((kind, text),) = data.items()
     return np.frombuffer(base64.b64decode(text), f"<{kind}")

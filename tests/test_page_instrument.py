@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from browser import HEIGHT, SECONDS, WIDTH, Tab
 from PIL import Image
-from small_scans import CUBE, scanned, scanned_in_space
+from small_scans import scanned_in_space
 
 from scan3d.geometry.distance import distances
 from scan3d.numbers import FORCES, MOMENTS, length, number
@@ -17,11 +17,6 @@ from scan3d.pictures.parts import shown_surface, shown_sweep
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 NUMBER = r"[-−]?[\d.,]*\d(?:e[-−]?\d+)?"
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return scanned(CUBE)
 
 
 @pytest.fixture(scope="module")

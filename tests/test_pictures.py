@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from image_checks import fraction_of_color, pixels
 from PIL import Image
-from small_scans import CUBE, EGG, scanned, scanned_in_space
+from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
 from scan3d.choices import CAMERAS
@@ -20,17 +20,6 @@ from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.charts import histograms
 from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.sheet import Camera, Sheet, sheet
-
-
-@pytest.fixture(scope="module")
-def egg():
-    return scanned(EGG)
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return scanned(CUBE)
-
 
 # --- size, resolution and camera ---
 

@@ -22,16 +22,6 @@ from scan3d.report import key_figures
 
 
 @pytest.fixture(scope="module")
-def egg():
-    return scanned(EGG)
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return scanned(CUBE)
-
-
-@pytest.fixture(scope="module")
 def ellipsoid():
     return scanned_in_space()
 

@@ -35,11 +35,6 @@ from scan3d.geometry.hulls import hull_near
 
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
-# Steps in which directions follow the fit.
-_TURNS = 3
-# Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where normals
-# are rough, and later.
-_POSITION_WEIGHT = (0.1, 0.02)
 # Points that are evaluated at once.
 _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
@@ -117,7 +112,8 @@ def fit_support(
     coefficients = np.zeros((degree + 1) ** 2)
     # each round improves the normals by a factor of ten or more
     for rounds_done in range(3):
-        weight = _POSITION_WEIGHT[min(rounds_done, 1)]
+        # of the contact's position along the surface, relative to its distance from it: normals of the first round are rough
+        weight = (0.1, 0.02)[min(rounds_done, 1)]
         normal_matrix, right, square = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients)), 0.0
         for first in range(0, len(mapped), _BLOCK):
             part = slice(first, first + _BLOCK)
@@ -147,7 +143,7 @@ def fit_support(
             coefficients = _smoothed(normal_matrix, right, square, len(mapped), degree)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
         # noisy normals may be wrong by more than a right angle at first
-        directions = _follow(fitted._gradient, mapped, directions, _TURNS if sd is None else 10)
+        directions = _follow(fitted._gradient, mapped, directions, 3 if sd is None else 10)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
 
@@ -281,7 +277,7 @@ def _parts(values: Any) -> Array:
     return np.stack([values.real, values.imag])
 
 
-def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array, turns: int = _TURNS) -> Array:
+def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array, turns: int = 3) -> Array:
     """Directions (n, 3) whose points on the fitted body lie below the given points (n, 3), improved from `directions`.
 
     Near the unit ball the offset of the points along the surface is the angle by which the direction must turn.

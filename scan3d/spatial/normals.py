@@ -37,23 +37,8 @@ _NOISY_WIDTHS = {2: (5, 7, 11, 17, 27, 41), 4: (7, 11, 17, 27, 41)}
 # Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
 # three times as large.
 _ROUGH = 3.0
-# Regularisation of the normal equations, in which all entries are at most the number of samples.
-_RIDGE = 1e-14
-# A step longer than this many times both its neighbours is a snap, unless by noise of so many standard deviations; shorter
-# steps include the quick first slip after touch-down.
-_SNAP, _SNAP_SIGMAS = 4.0, 8.0
-# A step sticks if the rod's material point slips by less than this fraction of the clamp's travel, which is rounding.
-_STICK = 1e-7
 UNKNOWN = 0.1
 """Normals that are less certain, in radians, are unknown: as starts for the fit of a smooth body they would disturb it."""
-# A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
-# normal from the path.
-_CLEARLY = 0.5
-# Contacts whose normals are computed at once.
-_BLOCK = 20_000
-# Without friction all angles β of tangential contact vanish, to rounding and this many standard deviations, in so many of
-# them, with at least that number.
-_NO_FRICTION, _SIGMAS, _NEARLY_ALL, _FEWEST = 1e-7, 5.0, 0.99, 20
 
 
 class Source(IntEnum):
@@ -122,7 +107,8 @@ def along_sweeps(track: Track) -> Normals:
             rows = slopes.rows[better]
             normals[source][rows], deviation[source][rows] = normal[better], sd[better]
     slip_sd, path_sd = deviation[Source.SLIP], deviation[Source.PATH]
-    by_slip = slip_sd < _CLEARLY * path_sd
+    # the normal from the slip needs a friction law, that from the path does not
+    by_slip = slip_sd < 0.5 * path_sd
     normal = np.where(by_slip[:, None], normals[Source.SLIP], normals[Source.PATH])
     sd = np.where(by_slip, slip_sd, path_sd)
     unknown = ~(sd < UNKNOWN)
@@ -143,8 +129,8 @@ def along_sweeps(track: Track) -> Normals:
 def frictionless(beta: Array, beta_sd: Array | float = 0.0) -> bool:
     """Whether the angles β (n,) of tangential contacts say that there is no friction, so that ``n = F/f`` at all contacts."""
     with np.errstate(invalid="ignore"):
-        vanishing = np.abs(beta) <= _NO_FRICTION + _SIGMAS * np.asarray(beta_sd)
-    return len(beta) >= _FEWEST and float(np.mean(vanishing)) >= _NEARLY_ALL
+        vanishing = np.abs(beta) <= 1e-7 + 5 * np.asarray(beta_sd)
+    return len(beta) >= 20 and float(np.mean(vanishing)) >= 0.99
 
 
 def angles(a: Array, b: Array) -> Array:
@@ -218,7 +204,8 @@ def fitting(position: Array, own: Index, degree: int, weight: Array, values: Arr
         normal = weighted @ powers.transpose(0, 2, 1)
         good = np.isfinite(normal).all(axis=(1, 2))
         normal[~good] = np.eye(degree + 1)
-        normal += _RIDGE * np.eye(degree + 1)
+        # a little regularisation: all entries are at most the number of samples
+        normal += 1e-14 * np.eye(degree + 1)
         slope = np.zeros((k, degree + 1, 1))
         slope[:, 1] = 1
         solved = np.linalg.solve(normal, np.concatenate([slope, weighted @ values], axis=2))
@@ -246,10 +233,12 @@ def _runs(track: Track) -> tuple[Mask, Mask]:
     noise = 0.0
     if track.covariance is not None:
         spread = np.sqrt(np.einsum("nii->n", track.covariance))
-        noise = _SNAP_SIGMAS * (spread[1:] + spread[:-1])
-    snap = step > _SNAP * neighbour + noise
+        noise = 8 * (spread[1:] + spread[:-1])
+    # shorter steps include the quick first slip after touch-down
+    snap = step > 4 * neighbour + noise
     snap &= neighbour > 0
-    stick = same & ~(slip > _STICK * np.abs(np.diff(track.travel)))
+    # such a slip is rounding
+    stick = same & ~(slip > 1e-7 * np.abs(np.diff(track.travel)))
     smooth = same & ~snap & ~stick & (track.tangential[1:] == track.tangential[:-1])
     starts, sticks = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
     starts[1:] = ~smooth
@@ -283,7 +272,7 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
     noisy = [(width, degree) for degree, widths in _NOISY_WIDTHS.items() for width in widths]
     for width, degree in [(width, 0) for width in _WIDTHS] if covariance is None else noisy:
         every = windows(starts, width)
-        for part in np.array_split(np.arange(len(every.rows)), max(1, len(every.rows) // _BLOCK)):
+        for part in np.array_split(np.arange(len(every.rows)), max(1, len(every.rows) // 20_000)):
             rows, members, own = (column[part] for column in every)
             position, nearby = track.travel[members], values[members]
             if covariance is None:
