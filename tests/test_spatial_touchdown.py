@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from rods_in_space import random_ellipsoid, random_paths, turned
+from rods_in_space import curved, random_ellipsoid, random_paths, turned
 
 from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touchdown import passages
+from scan3d.spatial.touchdown import Paths, first_touches, passages
 
 HALF = np.array([0.3, 0.2, 0.25])
 
@@ -96,6 +96,26 @@ def test_cuboids(radius):
     mesh = trimesh.creation.box(2 * HALF)
     body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
     check(body, depth_of_cuboid(turn, radius), rng, 1e-9)
+
+
+def test_first_touches_of_curved_paths():
+    body, semi_axes, axes = random_ellipsoid(3)
+    position, clamps = curved(body, 120, 40, np.random.default_rng(5), 0.2)
+    place = np.linspace(0, 39, 3901)
+    path = np.stack([[np.interp(place, np.arange(40), column) for column in one.T] for one in position])
+    inside = depth_of_ellipsoid(semi_axes, axes)(path.swapaxes(1, 2), clamps[:, None, 1]) < 0
+    touch = first_touches(body, Paths(position, clamps))
+    assert len(touch.number) > 40
+    # grazes shorter than a step of the brute force are left out
+    assert set(np.flatnonzero(inside.any(axis=1))) <= set(touch.number)
+    assert len(touch.number) < inside.any(axis=1).sum() + 3
+    seen = inside[touch.number].any(axis=1)
+    inside, begin, end = inside[touch.number][seen], touch.progress[seen], touch.clear_after[seen]
+    behind = place[np.argmax(inside, axis=1)] - begin
+    assert ((behind >= -1e-9) & (behind <= 0.0101)).all()
+    after = ~inside & (place > begin[:, None] + 0.01)
+    left = np.where(after.any(axis=1), place[np.argmax(after, axis=1)], np.inf)
+    assert ((left == end) | ((left - end >= -0.01) & (left - end <= 0.0101))).all()
 
 
 def test_paths_that_begin_in_the_body_are_refused():

@@ -89,7 +89,7 @@ class Passage(NamedTuple):
     begin: Array
     """Distance along the path, in units of the travel, at which the rod touches the body; NaN if it does not."""
     end: Array
-    """Distance at which the straight rod has passed the body, to some thousandths."""
+    """Distance at which the straight rod has passed the body, to some thousandths; NaN if the path does not cross the body."""
     s1: Array
     """Arc length of the touch-down: 1 for the tip."""
     feature: Index
@@ -129,9 +129,9 @@ def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passa
         end[rows[tip]] = _tip_end(body, motion, rows[tip], tip_end[tip], left[tip])
         # a touch-down by a graze that the polyhedron of directions misses is over at once
         end[rows] = np.fmax(end[rows], begin[rows])
+    end = np.where(touches, end, np.nan)
     touches &= s1 > 0
-    begin, end = np.where(touches, begin, np.nan), np.where(touches, end, np.nan)
-    return Passage(touches, begin, end, s1, feature, coordinates)
+    return Passage(touches, np.where(touches, begin, np.nan), end, s1, feature, coordinates)
 
 
 def _of_line(body: Body, position: Array, along: Array, travel: Array, sign: float) -> _Place:
@@ -247,7 +247,7 @@ def later_touches(body: Body, paths: Paths, number: Index, after: Array) -> Touc
     passage = passages(body, clamp.position, clamp.y, paths.speed(lane, step))
     _check_begin(lane[passage.touches & (step == 0) & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)])
     enters, leaves = (
-        np.where(passage.touches & (part >= -NEGLIGIBLE) & (part < 1), step + part, np.inf).reshape(-1, count)
+        np.where((part >= -NEGLIGIBLE) & (part < 1), step + part, np.inf).reshape(-1, count)
         for part in (passage.begin, passage.end)
     )
     enters[enters < after] = np.inf
