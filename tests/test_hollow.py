@@ -150,6 +150,21 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
     assert (np.abs(nearest(cloud.points, mesh)[0]) > 1e-9 * cloud.rod_length).mean() <= 0.005
 
 
+def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing():
+    """The first row in which a rod touched two legs of a table gave a contact, a quarter of the rod's length off."""
+    legs = []
+    for x, y in ((-16, -11), (-16, 11), (16, -11), (16, 11)):
+        leg = trimesh.creation.box((4, 4, 8))
+        leg.apply_translation((x, y, 0))
+        legs.append(leg)
+    mesh = trimesh.util.concatenate(legs)
+    plan = scan3d.Plan(slices=1, sweeps=6, samples=64, friction=(0.0, 0.4), rod=scan3d.Rod.of_length(0.0505))
+    recording = scan3d.simulate(mesh, plan)
+    cloud = scan3d.reconstruct(recording)
+    assert len(cloud) > 300
+    assert np.abs(nearest(cloud.points, mesh)[0]).max() < 1e-9 * cloud.rod_length
+
+
 def test_the_report_of_a_body_that_is_not_convex(scanned):
     result, folder = scanned
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))

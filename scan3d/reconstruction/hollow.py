@@ -28,6 +28,8 @@ from scan3d.units import UNITS_M
 _SECOND = 0.15
 # Standard deviations of a place by which noise may put a contact into what was passed.
 _DEVIATIONS = 5.0
+# Steps of the base within which another contact confirms one.
+_NEIGHBOURS = 5.0
 # Contacts around one that tell how steep the surface is there, across its slice.
 _AROUND = 12
 
@@ -40,6 +42,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     rows = _Rows(cloud, recording)
     friction = rows.friction()
     refused = rows.refused(friction)
+    if not friction > 0:  # then the path alone tells, and of a contact without another one nearby not even that
+        refused |= rows.alone()
     passed = rows.passed(refused)
     kept = (rows.touching & ~(refused | passed))[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
@@ -98,6 +102,20 @@ class _Rows:
                 refused[rows] = planar.second_contacts(self.columns[0][rows], found, friction=friction, errors=errors)
         return refused
 
+    def alone(self) -> Mask:
+        """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
+        alone = np.zeros(len(self.touching), dtype=bool)
+        error = _DEVIATIONS * np.nan_to_num(self.errors.largest)
+        step = np.median(np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps]))
+        for plane, members in self._slices():
+            rows = np.concatenate(members)
+            rows = rows[self.touching[rows]]
+            if len(rows) > 1:
+                points = self._in_plane(self.found.point[rows], rows, plane)
+                distance, nearest = cKDTree(points).query(points, k=[2])
+                alone[rows] = distance[:, 0] > _NEIGHBOURS * step + error[rows] + error[rows[nearest[:, 0]]]
+        return alone
+
     def passed(self, refused: Mask) -> Mask:
         """(n,) the fewest contacts, of those not refused, without which no rod has passed a contact of its slice.
 
@@ -108,9 +126,7 @@ class _Rows:
         single = asked | ~self.pressed
         error = _DEVIATIONS * np.nan_to_num(self.errors.largest)
         found = np.zeros(len(asked), dtype=bool)
-        for number in np.unique(self.slice):
-            members = [self.sweeps[k] for k in np.flatnonzero(self.slice == number)]
-            plane = self.axes[members[0][0], :2]
+        for plane, members in self._slices():
             rows = np.concatenate(members)
             rows = rows[asked[rows]]
             points = self._in_plane(self.found.point[rows], rows, plane)
@@ -171,6 +187,13 @@ class _Rows:
         for name, values in changed.items():
             getattr(joined, name)[second] = values  # arrays of its own
         return replace(joined, recovered=second)
+
+    def _slices(self) -> list[tuple[Array, list[Index]]]:
+        """Of each slice the axes (2, 3) of its plane, and the rows of each of its sweeps."""
+        every: list[list[Index]] = [
+            [self.sweeps[k] for k in np.flatnonzero(self.slice == number)] for number in np.unique(self.slice)
+        ]
+        return [(self.axes[members[0][0], :2], members) for members in every]
 
     def _of_sweep(self, points: Array, sweep: Index, plane: Array) -> Array:
         """Points in the axes (2, 3) of a slice's plane, in the frame of one of its sweeps."""

@@ -37,7 +37,6 @@ import scan3d
 from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of
 from scan3d.geometry.distance import Search, nearest
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.sections import slice_outlines
 from scan3d.simulation import scan
 from scan3d.surfaces.carved import carved
 
@@ -194,6 +193,8 @@ class Simulated(NamedTuple):
     recording: scan3d.Recording
     contacts: np.ndarray
     """(n,) places at which the rod touches in each row."""
+    outlines: dict[float, list[np.ndarray]]
+    """Of the slices that were swept, by their heights: planes of faces are cut just below."""
 
 
 def simulated(mesh: trimesh.Trimesh, plan: scan3d.Plan) -> Simulated:
@@ -209,10 +210,11 @@ def simulated(mesh: trimesh.Trimesh, plan: scan3d.Plan) -> Simulated:
         recording = scan3d.simulate(mesh, plan)
     status = np.concatenate([swept.result.status for axis in kept[-1] for swept in axis.swept])
     counts = np.array([0, 1, 2])[status[status != planar.SweepStatus.UNRESOLVED]]
-    return Simulated(recording, counts)
+    (axis,) = kept[-1]
+    return Simulated(recording, counts, dict(zip(axis.heights, axis.loops, strict=True)))
 
 
-def false_slices(mesh: trimesh.Trimesh, recording: scan3d.Recording, cloud: scan3d.Cloud) -> str:
+def false_slices(outlines: dict[float, list[np.ndarray]], recording: scan3d.Recording, cloud: scan3d.Cloud) -> str:
     """The contours' bound, and the slices in which a place of the outer contour is farther from the true one than its bound."""
     sheets, touched, wrong, bound = sheets_of(recording, cloud), cloud, 0, 0.0
     touched = cloud.select(~contradicted(sheets, cloud))
@@ -220,7 +222,8 @@ def false_slices(mesh: trimesh.Trimesh, recording: scan3d.Recording, cloud: scan
         contours = outer_contours([sheet], touched)
         flat = contours.points @ sheet.frame.T
         number = np.abs(flat[:, 2:] - sheet.height).argmin(axis=1)
-        for k, loops in enumerate(slice_outlines(mesh, sheet.frame, sheet.height)):
+        for k, height in enumerate(sheet.height):
+            loops = outlines[min(outlines, key=lambda swept: abs(swept - height))]
             rows = number == k
             if rows.any() and loops:
                 outline = np.concatenate([dense(loop) for loop in loops])
@@ -272,7 +275,7 @@ def main() -> None:
         mesh = EVERYDAY[name]()
         times = [time.process_time()]
         try:
-            recording, places = simulated(mesh, plan)
+            recording, places, outlines = simulated(mesh, plan)
             times.append(time.process_time())
             cloud = scan3d.reconstruct(recording)
             times.append(time.process_time())
@@ -290,7 +293,7 @@ def main() -> None:
         print(
             f"{name:12} {len(mesh.faces):6d} {len(cloud):8d} {wrong.sum():6d} {100 * wrong.mean():7.3f} "
             f"{off.max(initial=0) / cloud.rod_length:7.4f} {two:5d} {100 * (1 - missed / max(two, 1)):5.1f} "
-            f"{100 * (~found[places == 1]).sum() / max(one, 1):5.2f} {false_slices(mesh, recording, cloud)} "
+            f"{100 * (~found[places == 1]).sum() / max(one, 1):5.2f} {false_slices(outlines, recording, cloud)} "
             f"{within_reach(mesh, recording, cloud, surface)} {np.round(np.diff(times), 1)}",
             flush=True,
         )
