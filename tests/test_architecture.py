@@ -42,6 +42,7 @@ def imported(name):
     return frozenset(names)
 
 
+@functools.cache
 def loaded(statement):
     """Names of the modules that a fresh interpreter has loaded after the statement."""
     code = f"import sys; {statement}; print(*sys.modules)"

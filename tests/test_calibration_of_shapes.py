@@ -49,6 +49,7 @@ def test_a_tapered_and_curved_rod_is_found(tmp_path):
     assert {"tip_diameter_relative", "curvature_z_per_m", "curvature_x_per_m"} <= set(found.uncertainty().names)
 
 
+@pytest.mark.slow
 def test_a_straight_rod_is_not_given_a_shape():
     found = found_of(Shaped(), sweeps=20, samples=40)[1]
     assert not found.rod.varies

@@ -126,6 +126,7 @@ def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
     assert len(drawn.base) == (~cloud.recovered[cloud.sweep == sweep]).sum()
 
 
+@pytest.mark.slow
 def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed():
     """With friction drawn anew for each sample nothing else tells of contacts that are off by a ten-thousandth of the rod."""
     angle = 2 * np.pi * np.arange(32) / 32
@@ -165,6 +166,7 @@ def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing()
     assert np.abs(nearest(cloud.points, mesh)[0]).max() < 1e-9 * cloud.rod_length
 
 
+@pytest.mark.slow
 def test_the_report_of_a_body_that_is_not_convex(scanned):
     result, folder = scanned
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
@@ -181,6 +183,7 @@ def test_the_report_of_a_body_that_is_not_convex(scanned):
     assert "not convex" in rows["certified"]
 
 
+@pytest.mark.slow
 def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
     result, _ = scanned
     with pytest.raises(scan3d.InputError, match="method bracket is for convex bodies"):

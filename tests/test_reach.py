@@ -15,6 +15,7 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.report import report
 
+pytestmark = pytest.mark.slow
 TOP = np.sqrt(18.0**2 + 19.08**2)
 # one slice beyond either end, which is empty
 HEIGHTS = np.linspace(-27.3, 27.3, 30)
@@ -57,7 +58,6 @@ def test_the_body_lies_between_the_two_and_within_the_bound():
     assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
 
 
-@pytest.mark.slow
 def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     recording, _ = peanut()
     assert recording.rod.diameter_m > 0

@@ -112,6 +112,7 @@ def test_the_planar_rig_is_the_planar_scan(egg):
     np.testing.assert_allclose(log.wrench[other & ~last, 5], scan.moment_Nm[rows[other & ~last]], atol=1e-9 * scale)
 
 
+@pytest.mark.slow
 def test_a_rod_that_is_in_the_way_is_reported(egg):
     poses = planned("planar")
     with pytest.raises(InputError, match=r"the rod lies in the body where \d+ of 24 sweeps begin, first sweep \d+: "):

@@ -99,6 +99,7 @@ def test_the_second_contact_at_the_tip_is_recovered(name):
     assert found.slope[0] == pytest.approx(np.radians(second[3]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_what_rods_passed_is_free():
     """Random ellipses, from both sides: no place of the body is passed, and most of those close to it are."""
     rng = np.random.default_rng(14)
