@@ -96,11 +96,3 @@ def test_the_apexes_enclose_the_body(half_width):
         assert (u @ covering.apexes.reshape(-1, 3).T).max(axis=1).min() >= 1
         assert np.linalg.norm(covering.apexes, axis=2).min() >= 1 - 1e-9
     assert np.linalg.norm(refined.apexes, axis=2).max() <= np.linalg.norm(found.apexes, axis=2).max()
-
-
-def test_apexes_lie_on_the_planes_of_a_cube():
-    axes = np.concatenate([np.eye(3), -np.eye(3)])
-    found = cover(Arcs(axes, axes, np.roll(axes, 1, axis=1), np.zeros(6)), np.arange(6))
-    assert len(found.planes) == 8
-    assert np.abs(found.apexes) == pytest.approx(np.ones((8, 8, 3)))
-    assert np.abs(found.nominal) == pytest.approx(np.ones((8, 3)))

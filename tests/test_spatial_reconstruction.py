@@ -61,6 +61,7 @@ def test_without_friction_the_force_is_the_normal():
     assert (cloud.friction == 0).all()
 
 
+@pytest.mark.slow
 def test_smooth_bodies_are_fitted_whatever_the_friction_and_points_move_by_the_radius(random_friction):
     recording, points, normals = random_friction
     cloud = scan3d.reconstruct(recording)

@@ -177,6 +177,7 @@ def test_an_unknown_diameter_is_asked_for():
     assert rows["stated"]["rod's radius"] == "contacts moved by 150 µm from the rod's centre line"
 
 
+@pytest.mark.slow
 def test_a_tapered_rod_moves_contacts_by_its_radius_there_and_certifies_nothing():
     cone = replace(WIRE, tip_diameter_m=0.1e-3)
     log = scan3d.simulate(ball(20.0), scan3d.Plan(slices=6, samples=20, sweeps=4, rod=cone))
