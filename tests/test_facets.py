@@ -72,17 +72,18 @@ def test_a_polyhedron_all_of_whose_contacts_lie_on_facets_is_exact():
     assert scan3d.compare(surface, body).hausdorff < 1e-9 * body.scale
 
 
-def test_a_facet_that_one_slice_meets_is_found_between_the_vertices_beside_it():
-    """Further facets are recovered from vertices, where four of them meet; without them three vertices are missed."""
+def test_facets_are_found_beside_vertices_and_corners_and_the_polyhedron_is_exact():
+    """Sides of a facet between vertices have one slope left, and one on which corners that may be vertices agree."""
     body = polytope(50, 7)
     cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=48, friction=(0.0, 0.4), samples=48)))
     planes, true = facets(cloud), planes_of(body)
-    more = completed(planes, cloud, body.vertices)
-    assert len(planes) < len(more)
-    assert np.abs(more[:, None] - true).max(axis=2).min(axis=1).max() < 1e-9 * body.scale
+    for inner, corners in ((body.vertices, np.empty((0, 3))), (cloud.points, body.vertices)):
+        found = completed(planes[6:], cloud, inner, corners)
+        assert len(planes) - 6 < len(found) <= len(true)
+        assert np.abs(found[:, None] - true).max(axis=2).min(axis=1).max() < 1e-9 * body.scale
     surface = scan3d.surface(cloud)
-    assert f"{len(more)} facets" in surface.metadata["reason"]
-    assert scan3d.compare(surface, body).relative < 5e-5
+    assert f"{len(true)} facets" in surface.metadata["reason"]
+    assert scan3d.compare(surface, body).relative < 1e-9  # 3e-5 by sides alone that contacts show
 
 
 @pytest.mark.trust

@@ -6,9 +6,10 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 from spatial_bodies import unit
 
+from scan3d.geometry import polytopes
 from scan3d.geometry.polytopes import clipped, cut_polytope
 
 
@@ -32,6 +33,21 @@ def test_planes_cut_the_hull_of_points():
     assert ConvexHull(cut).volume == pytest.approx(6.0)
     # planes with most of the points beyond them contradict the points
     assert clipped(corners, np.array([[1.0, 0, 0, -0.5]])) is corners
+
+
+def test_planes_at_which_qhull_fails_still_leave_their_corners(monkeypatch):
+    """Qhull calls some hulls of dual points imprecise: the middle alone was then left, which would prove any bound."""
+
+    def fails(*_, **__):
+        raise QhullError("large increase in qh.max_outside")
+
+    corners = trimesh.creation.box((2, 2, 2)).vertices.view(np.ndarray)
+    faces = np.column_stack([np.concatenate([np.eye(3), -np.eye(3)]), np.ones(6)])
+    monkeypatch.setattr(polytopes, "ConvexHull", fails)
+    found = cut_polytope(faces, np.array([[1.0, 0, 0, 0.5]]), np.zeros(3), 2.0, 1e-9)
+    assert len(found) == 8
+    assert found.max(axis=0) == pytest.approx([0.5, 1, 1])
+    assert found.min(axis=0) == pytest.approx(corners.min(axis=0))
 
 
 # Dual points of half-spaces of a slab of the Stanford bunny's hull, of which two would replace each other without end.

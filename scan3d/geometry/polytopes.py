@@ -96,9 +96,9 @@ def _vertices(planes: Array, inside: Array) -> Array:
     dual = planes[offset > 0, :3] / offset[offset > 0, None]
     try:
         equations = ConvexHull(dual).equations
+        vertices: Array = inside - equations[:, :3] / equations[:, 3:]
     except QhullError:
-        return inside[None]
-    vertices: Array = inside - equations[:, :3] / equations[:, 3:]
+        vertices = half_space_intersection(planes[offset > 0] * [1, 1, 1, -1], inside).intersections
     return np.unique(vertices, axis=0)
 
 

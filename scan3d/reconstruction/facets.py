@@ -1,7 +1,8 @@
 """Facets of a polyhedron from exact contacts in parallel slices, and the normals of the contacts that lie on them.
 
 A slice of a polyhedron is a polygon.  Two contacts on one of its sides with a third between them, or with the rod's tangent at
-one of them along it, give that side exactly: no other convex contour has these contacts.  Parallel slices cut a facet in
+one of them along it, show that side: no other convex contour has these contacts.  Other neighbours may be corners of one side,
+and are if that side agrees exactly with what else is known.  Parallel slices cut a facet in
 parallel sides, so that two sides with one normal in different slices span a plane.  It is that of a facet if all contacts lie
 behind it.  Two facets may be parallel in these slices only, as those of a double pyramid, and a plane through a side of each
 may cut off the edge between them.  So planes of two sides count only if neither side lies in another plane as well, and if no
@@ -17,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, highest, unit_or_zero
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, unit_or_zero
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
@@ -31,7 +32,7 @@ def facets(cloud: Cloud) -> Array:
     if cloud.covariance is not None or cloud.tilt is not None or not len(cloud):
         return np.empty((0, 4))
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    parts = [_of_stack(stack, cloud.points, size) for stack in stacks(cloud)]
+    parts = [_of_stack(stack, cloud.points, size, shown) for stack in stacks(cloud) for shown in (True, False)]
     planes, error = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _distinct(planes[np.argsort(error, kind="stable")], size)
 
@@ -42,43 +43,88 @@ def _distinct(planes: Array, size: float) -> Array:
     return np.delete(planes, again, axis=0)
 
 
-def completed(planes: Array, cloud: Cloud, vertices: Array) -> Array:
-    """Planes (k, 4) of facets, and those through further sides that contacts and vertices (v, 3) of the body leave one slope.
+def on_planes(points: Array, planes: Array, size: float) -> tuple[Index, Index]:
+    """Numbers of the points (n, 3) that lie on planes (k, 4), in their order, and of the planes; of a body of a size."""
+    blocks = np.array_split(points, 1 + len(points) * len(planes) // AT_ONCE)
+    near = [np.abs(block @ planes[:, :3].T - planes[:, 3]) <= NEGLIGIBLE * size for block in blocks]
+    point, plane = np.nonzero(np.concatenate(near))
+    return point, plane
+
+
+def vertices_among(corners: Array, planes: Array, contacts: Array, size: float) -> tuple[Mask, Mask]:
+    """Which corners (c, 3) of the body of planes (k, 4) are vertices of the true one, and in which others three of them meet.
+
+    More planes than three meet in a vertex, since others do not meet in one point.  So do three if contacts lie on two of the
+    edges: a facet that cut the corner off would have ends on these edges, where they go on to other facets' corners.
+    """
+    corner, plane = on_planes(corners, planes, size)
+    meeting = np.bincount(corner, minlength=len(corners))
+    contact, side = on_planes(contacts, planes, size)
+    on_edge = np.bincount(contact, minlength=len(contacts)) == 2
+    edges = np.unique(side[on_edge[contact]].reshape(-1, 2) @ [len(planes), 1])
+    three = np.flatnonzero(meeting == 3)
+    of_three = plane[np.isin(corner, three)].reshape(-1, 3)
+    touched = np.isin(of_three[:, [0, 0, 1]] * len(planes) + of_three[:, [1, 2, 2]], edges).sum(axis=1)
+    is_vertex = meeting > 3
+    simple = (touched > 1).sum() > is_vertex.sum()
+    is_vertex[three] = touched > (0 if simple else 1)
+    return is_vertex, (meeting == 3) & ~is_vertex
+
+
+def completed(planes: Array, cloud: Cloud, inner: Array, corners: Array) -> Array:
+    """Planes (k, 4) of facets, and those through further sides to which points (v, 3) of the body leave one slope.
 
     The body has a plane through each side, and lies behind it: points above the side's slice bound its slope from one side,
     and points below from the other.  Where the bounds agree, a facet is met by one slice and ends in vertices on both sides.
+    Corners (c, 3) in which three known facets meet may be vertices: those are whose slopes agree across the slice, and that
+    lie in the known neighbour of the facet in which the side ends.
     """
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    found = [planes]
+    near, found = NEGLIGIBLE * size, [planes]
+    in_planes = np.abs(corners @ planes[:, :3].T - planes[:, 3]) <= near
     for stack in stacks(cloud):
-        points = np.concatenate([cloud.points, vertices]) @ stack.frame.T
-        normals, offsets = planes[:, :3] @ stack.frame.T, planes[:, 3]
+        normals, points, places = planes[:, :3] @ stack.frame.T, inner @ stack.frame.T, corners @ stack.frame.T
         for slice_ in stack.slices:
-            angle, value, length, start = _sides(slice_, size)
+            angle, value, length, start, _ = _sides(slice_, size)
             across = np.stack([np.cos(angle), np.sin(angle)])
-            along = np.stack([-across[1], across[0]])
-            known = np.ones((len(planes), len(angle)), dtype=bool)
-            for place in (start, start + length):
-                heights = normals[:, :2] @ (value * across + place * along) + normals[:, 2:] * slice_.height
-                known &= np.abs(heights - offsets[:, None]) <= NEGLIGIBLE * size
-            across, value = across[:, ~known.any(axis=0)], value[~known.any(axis=0)]
-            above = points[:, 2] - slice_.height
-            apart = np.abs(above) > NEGLIGIBLE * size
-            slope = (points[apart, :2] @ across - value) / above[apart, None]
-            upper = above[apart] > 0
-            low, high = slope[upper].max(axis=0, initial=-np.inf), slope[~upper].min(axis=0, initial=np.inf)
-            fits = high - low <= _SAME
-            slope, value = (low + high)[fits] / 2, value[fits]
-            through = np.column_stack([across[:, fits].T, -slope, value - slope * slice_.height])
+            ends = value * across + np.stack([start, start + length])[:, None] * np.stack([-across[1], across[0]])
+            beyond = normals[:, :2] @ ends + normals[:, 2:] * slice_.height - planes[:, 3:]
+            at_ends = np.abs(beyond) <= near  # (2, k, s)
+            unknown = ~at_ends.all(axis=0).any(axis=0)
+            sides = across[:, unknown], value[unknown], slice_.height
+            above, below = points[:, 2] > slice_.height + near, points[:, 2] < slice_.height - near
+            low = _slopes(points[above], *sides).max(axis=0, initial=-np.inf)
+            high = _slopes(points[below], *sides).min(axis=0, initial=np.inf)
+            possible = (in_planes @ at_ends.any(axis=0))[:, unknown]
+            possible[np.abs(places[:, 2] - slice_.height) <= near] = False
+            slope = _slopes(places, *sides)
+            slope = np.where(possible & (slope >= low - _SAME) & (slope <= high + _SAME), slope, np.nan)
+            slope, upper = np.vstack([low, high, slope]), np.append([True, False], places[:, 2] > slice_.height)
+            order = np.argsort(slope, axis=0)
+            slope = np.take_along_axis(slope, order, axis=0)
+            agree = (np.diff(slope, axis=0) <= _SAME) & (np.diff(upper[order].astype(int), axis=0) != 0)
+            fits = np.flatnonzero(agree.any(axis=0))
+            slope = slope[agree.argmax(axis=0)[fits], fits]
+            through = np.column_stack([sides[0][:, fits].T, -slope, sides[1][fits] - slope * slice_.height])
             through /= np.linalg.norm(through[:, :3], axis=1)[:, None]
             found.append(np.column_stack([through[:, :3] @ stack.frame, through[:, 3]]))
     return _distinct(np.concatenate(found), size)
 
 
-def _of_stack(stack: SliceStack, points: Array, size: float) -> tuple[Array, Array]:
-    """Planes (p, 4) through sides with one normal in slices that follow each other, and their errors (p,)."""
-    sides = [_sides(slice_, size) for slice_ in stack.slices]
-    angle, value, length, _ = np.concatenate(sides, axis=1)
+def _slopes(points: Array, across: Array, value: Array, height: float) -> Array:
+    """Slopes (n, s) of the planes through points (n, 3) and through sides at a height, with normals (2, s) and values (s,)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes: Array = (points[:, :2] @ across - value) / (points[:, 2:] - height)
+    return slopes
+
+
+def _of_stack(stack: SliceStack, points: Array, size: float, only_shown: bool) -> tuple[Array, Array]:
+    """Planes (p, 4) through sides with one normal in slices that follow each other, and their errors (p,).
+
+    Further sides between contacts count as well as those that contacts show, but may stand between two of these.
+    """
+    sides = [(side := _sides(slice_, size))[:, side[4] >= only_shown] for slice_ in stack.slices]
+    angle, value, length, _, _ = np.concatenate(sides, axis=1)
     height = np.repeat(stack.heights, [side.shape[1] for side in sides])
     if len(angle) < 2:
         return np.empty((0, 4)), np.empty(0)
@@ -115,10 +161,10 @@ def _of_stack(stack: SliceStack, points: Array, size: float) -> tuple[Array, Arr
 
 
 def _sides(slice_: Slice, size: float) -> Array:
-    """Sides of a slice's contour that its contacts show: angles of the normals, support values, lengths and starts (4, s)."""
+    """Sides of a slice's hull (5, s): angles of normals, support values, lengths, starts, and whether contacts show them."""
     corners, points, near = slice_.outline, slice_.points, NEGLIGIBLE * size
     if not len(corners):
-        return np.empty((4, 0))
+        return np.empty((5, 0))
 
     def seen_at(places: Array) -> Array:
         x, y = (places - slice_.outline.mean(axis=0)).T
@@ -142,10 +188,9 @@ def _sides(slice_: Slice, size: float) -> Array:
         measured = (off <= near) & (turn * length[k] <= near)
         angle[k[measured]] = np.arctan2(*slice_.normals[measured].T[::-1])
         shown[k[measured]] = True
-    shown &= length > near
     direction, (x, y) = np.stack([np.cos(angle), np.sin(angle)]), corners.T
     start = direction[0] * y - direction[1] * x
-    return np.stack([angle, (direction * corners.T).sum(axis=0), length, start])[:, shown]
+    return np.stack([angle, (direction * corners.T).sum(axis=0), length, start, shown])[:, length > near]
 
 
 def with_facet_normals(cloud: Cloud) -> Cloud:

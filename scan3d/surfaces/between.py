@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, highest
 from scan3d.bounds.cells import applicable, cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
@@ -49,7 +49,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import clipped, cut_polytope, plane_faces
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
-from scan3d.reconstruction.facets import completed, facets
+from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among
 from scan3d.reconstruction.slices import SliceStack, stacks
 
 FRACTIONS = (0.25, 0.0, 0.5, 1.0)
@@ -118,37 +118,30 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
 def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
     """The room that facets leave, if most contacts lie on them.
 
-    Four of them that meet in the outer body, though three make a corner, meet in a vertex of the body.  Another corner may be
-    cut off by a facet that is not known.  No slice has met such a facet if all contacts lie on known ones: then it is small,
-    and the body reaches to all corners, but past the end slices, where no contact tells of an end across them.
+    A corner in which more of them meet than make one is a vertex of the body, and so is that of three facets with contacts on
+    two of its edges.  Any other corner may be cut off by a facet that is not known.
     """
-    near, planes = NEGLIGIBLE * float(np.linalg.norm(np.ptp(found.points, axis=0))), facets(cloud)
-
-    def depth(points: Array) -> Array:
-        """(n,) of points (n, 3) below the nearest plane."""
-        blocks = np.array_split(points, 1 + len(points) * len(planes) // AT_ONCE)
-        return np.concatenate([(planes[:, 3] - part @ planes[:, :3].T).min(axis=1, initial=np.inf) for part in blocks])
-
-    if np.mean(depth(found.points) <= near) <= 0.5:
+    planes, size = facets(cloud), float(np.linalg.norm(np.ptp(found.points, axis=0)))
+    if len(np.unique(on_planes(found.points, planes, size)[0])) <= len(found.points) / 2:
         return found
-    corners, contours = found.foot + found.away, found.contours
-    outer = hull(np.concatenate([found.points, corners])).vertices.view(np.ndarray)
-    while True:
+    corners, contours, known = found.foot + found.away, found.contours, 0
+    inner = hull(found.points).vertices.view(np.ndarray)
+    outer = hull(np.concatenate([inner, corners])).vertices.view(np.ndarray)
+    while len(planes) > known:
         left = clipped(outer, planes)
-        meeting = (planes[:, 3] - left @ planes[:, :3].T <= near).sum(axis=1)
-        known, planes = len(planes), completed(planes, cloud, left[meeting > 3])
-        if len(planes) == known:
-            break
-    inside, remain = (depth(points) > near for points in (corners, contours))
-    on_facets = float(np.mean(depth(found.points) <= near))
-    points, open_ = np.concatenate([found.points, left[meeting > 3]]), (meeting > 0) & (meeting < 4)
-    corners = np.concatenate([corners[inside], left[open_]])
-    foot, local = nearest(corners, hull(points))[2], np.append(found.local[inside], np.full(open_.sum(), UNKNOWN))
-    of_open = np.full(open_.sum(), np.nan if on_facets < _POLYHEDRON else UNKNOWN if on_facets < 1 else 1.0)
-    along, heights = left[open_] @ stack.frame[2], stack.heights
-    of_open[((along < heights[0]) | (along > heights[-1])) & (meeting[open_] < 3)] = UNKNOWN
-    fixed, count = np.append(found.fixed[inside], of_open), len(planes) if on_facets >= _POLYHEDRON else 0
-    return Room(points, foot, corners - foot, local, fixed, contours[remain], count)
+        vertex, open_ = vertices_among(left, planes, found.points, size)
+        known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
+    share = len(np.unique(on_planes(found.points, planes, size)[0])) / len(found.points)
+    inside, remain = (
+        highest(planes, np.column_stack([points, -np.ones(len(points))])) < -NEGLIGIBLE * size
+        for points in (corners, contours)
+    )
+    is_open = np.isin(np.arange(len(left)), on_planes(left, planes, size)[0]) & ~vertex
+    points, corners = np.concatenate([found.points, left[vertex]]), np.concatenate([corners[inside], left[is_open]])
+    foot, count = nearest(corners, hull(points))[2], len(planes) if share >= _POLYHEDRON else 0
+    away, number = corners - foot, np.searchsorted(stack.heights, corners @ stack.frame[2])
+    fixed = np.append(found.fixed[inside], np.full(is_open.sum(), UNKNOWN if share >= _POLYHEDRON else np.nan))
+    return Room(points, foot, away, _local(stack, number, away), fixed, contours[remain], count)
 
 
 def _local(stack: SliceStack, number: Index, away: Array) -> Array:
