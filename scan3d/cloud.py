@@ -201,8 +201,6 @@ class Cloud(Shown, Exported):
 
     fit: SupportFit | None = None
     """The support function fitted to the contacts, if the body proved smooth."""
-    fit_error: float = np.inf
-    """95 % of the contacts held out of the fit lie closer to it than this, in the recording's unit."""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -13,7 +13,7 @@ SMOOTH = Ellipsoid(np.array([1.0, 0.7, 0.5]))
 
 
 def fitted(cloud, degree=4):
-    return dataclasses.replace(cloud, fit=fit_support(cloud.points, cloud.normals, degree), fit_error=1e-9)
+    return dataclasses.replace(cloud, fit=fit_support(cloud.points, cloud.normals, degree))
 
 
 def test_a_smooth_body_is_the_fitted_one():

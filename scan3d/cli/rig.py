@@ -390,7 +390,7 @@ def calibrate(
     check_path(out, inputs, overwrite)
     scale = UNITS_M[unit]
     touches = read_recording(recording)
-    not_rigged(touches.source, "the recording")
+    not_rigged(touches.source)
     noise = None if pose_noise is None else scale * pose_noise
     found = calibrate_rig(touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise)
     write_rig(found, out, overwrite=True)  # checked above
@@ -412,7 +412,7 @@ def rigged(recording: Any, rig: Path | None) -> Any:
     from scan3d.calibration.report import read_rig
     from scan3d.laboratory.importing import not_rigged
 
-    not_rigged(recording.source, "the recording")
+    not_rigged(recording.source)
     return read_rig(rig).applied(recording)
 
 

@@ -154,11 +154,11 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     )
 
 
-def not_rigged(source: Mapping[str, Any], name: str) -> None:
+def not_rigged(source: Mapping[str, Any]) -> None:
     """Raise InputError for the source of a recording that a rig has corrected: frames would be applied twice."""
     if source.get("calibrated"):
         raise InputError(
-            f"{name} was corrected by a calibrated rig already; leave --rig out, or import the table again without it"
+            "the recording was corrected by a calibrated rig already; leave --rig out, or import the table again without it"
         )
 
 

@@ -56,9 +56,7 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     known = np.isfinite(normals[:, 0])
     source = np.where(known, NormalSource.SLICES, NormalSource.UNKNOWN).astype(np.int8)
     second = int(rows.pressed.sum()) - cloud.light - len(single)
-    return replace(
-        single, convex=False, second=second, normals=normals, normal_source=source, fit=None, fit_error=np.inf
-    )
+    return replace(single, convex=False, second=second, normals=normals, normal_source=source, fit=None)
 
 
 class _Rows:

@@ -93,12 +93,12 @@ def with_smooth_fit(cloud: Cloud) -> Cloud:
         best = fitted, error
     if best is None or not _is_smooth(*best, cloud.noise):
         return cloud
-    fitted, error = best
+    fitted, _ = best
     # the search for the normal at a tip contact starts from the known normal of the nearest contact
     near = rows[cKDTree(cloud.points[rows]).query(cloud.points)[1]]
     normals = fitted.normals(cloud.points, cloud.normals[near])
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
-    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))
+    return replace(cloud, normals=normals, normal_source=source, fit=fitted)
 
 
 def _held_out_rows(rows: Index) -> Index:
@@ -288,7 +288,6 @@ def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
         return cloud
     sd = _fitted_sd(cloud, normals, fitted.degree * error)
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
-    fit_error = error * _mean_radius(fitted)
     if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
         sd_along = cloud.sd_along(normals)
         fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree, sd_along, cloud.table)
@@ -300,7 +299,6 @@ def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
         normal_sd=sd,
         friction=friction,
         fit=fitted,
-        fit_error=fit_error,
     )
 
 

@@ -288,7 +288,7 @@ def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     if parts is None:
         return None
     kept, held_out = parts
-    return replace(kept, fit=None, fit_error=np.inf), held_out.select(evenly(np.arange(len(held_out)), SOME))
+    return replace(kept, fit=None), held_out.select(evenly(np.arange(len(held_out)), SOME))
 
 
 def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
