@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-TYPE_CHECKING = (
-    False  # that of `typing`, whose import takes longer than that of this module, which `import scan3d` needs
-)
+# that of `typing`, whose import takes longer than that of this module, which `import scan3d` needs
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
