@@ -130,8 +130,10 @@ def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
     while len(planes) > known:
         left = clipped(outer, planes)
         vertex, open_ = vertices_among(left, planes, found.points, size)
+        share = len(np.unique(on_planes(found.points, planes, size)[0])) / len(found.points)
+        if known and share < _POLYHEDRON:
+            break  # the facets of a fine mesh would be found one after another
         known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
-    share = len(np.unique(on_planes(found.points, planes, size)[0])) / len(found.points)
     inside, remain = (
         highest(planes, np.column_stack([points, -np.ones(len(points))])) < -NEGLIGIBLE * size
         for points in (corners, contours)
