@@ -26,7 +26,7 @@ from planar import settling
 from planar.arrays import Array, Index, Mask
 from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
-from planar.several import MOST, Rods, Shapes, free_rods, reactions, shapes, solve
+from planar.several import MOST, Rods, free_rods, reactions, shapes, solve
 from planar.singles import Singles, Start
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
@@ -186,7 +186,7 @@ class _Sweeps:
                 self.pause[i], self.patience[i] = self.patience[i], 2 * self.patience[i]
         left = np.array([i for i in waiting if self.sample[i] < len(self.bases[i])], dtype=np.intp)
         if len(left):
-            self.shape[left] = self._points(left, self.rods.rows(left))[0]
+            self.shape[left] = self._points(self.rods.rows(left))
         for i in folded:
             self._let_go(i, _ACROSS)
         gone = [i for i in folded if self.sample[i] < len(self.bases[i]) and i not in self.waits]
@@ -313,9 +313,9 @@ class _Sweeps:
             if self.pause[sweep] <= 0:
                 self.waits.append(sweep)
 
-    def _points(self, bodies: Index, rods: Rods) -> tuple[Array, Shapes]:
+    def _points(self, rods: Rods) -> Array:
         shape = shapes(self.outlines, rods, np.broadcast_to(np.linspace(0, 1, _TESTED), (len(rods.x0), _TESTED)))
-        return np.stack([shape.x, shape.y], axis=2), shape
+        return np.stack([shape.x, shape.y], axis=2)
 
     def _admissible(self, bodies: Index, rods: Rods, zeta: Array, before: Rods | None) -> tuple[Mask, Array]:
         """Change the contacts of rods until they violate nothing; where that succeeded, and the points of the rods."""
@@ -336,7 +336,7 @@ class _Sweeps:
             rest, kept = pending[~changed], pending[changed]
             if len(rest):
                 part = rods.rows(rest)
-                points[rest], shape = self._points(bodies[rest], part)
+                points[rest] = self._points(part)
                 depth, s, near = self._deepest(bodies[rest], part, points[rest])
                 inside = depth < -INSIDE
                 added = [

@@ -20,7 +20,7 @@ import numpy as np
 
 from planar.arrays import Array, Index, Mask
 from planar.loops import Outlines
-from planar.pieces import piece
+from planar.pieces import End, piece
 
 # Contacts of one rod, at most: with more it is reported as not resolved.
 MOST = 3
@@ -102,46 +102,43 @@ def free_rods(x0: Array) -> Rods:
     )
 
 
-@dataclass
-class _Marched:
-    """Rods from the clamp to their contacts: (m, k)."""
-
-    x: Array
-    y: Array
-    phi: Array
-    kappa: Array
-
-
 def _forces(tau: Array, force: Array, zeta: Array) -> tuple[Array, Array]:
     """Internal forces (m, k) of the pieces that end at the contacts."""
     across, along = force * np.sin(tau + zeta), -force * np.cos(tau + zeta)
     return np.cumsum(across[:, ::-1], axis=1)[:, ::-1], np.cumsum(along[:, ::-1], axis=1)[:, ::-1]
 
 
-def _march(x0: Array, kappa: Array, s: Array, across: Array, along: Array) -> _Marched:
+def _march(x0: Array, kappa: Array, s: Array, across: Array, along: Array) -> End:
+    """Rods (m,) at their contacts: (m, k)."""
     m, k = s.shape
-    marched = _Marched(*(np.empty((m, k)) for _ in range(4)))
-    x, y, phi, start = x0, np.zeros(m), np.full(m, np.pi / 2), np.zeros(m)
+    here, start = End(x0, np.zeros(m), np.full(m, np.pi / 2), kappa), np.zeros(m)
+    ends: list[End] = []
     for j in range(k):
-        end = piece(across[:, j], along[:, j], phi, kappa, s[:, j] - start)
-        x, y, phi, kappa, start = x + end.x, y + end.y, end.phi, end.kappa, s[:, j]
-        marched.x[:, j], marched.y[:, j], marched.phi[:, j], marched.kappa[:, j] = x, y, phi, kappa
-    return marched
+        end = piece(across[:, j], along[:, j], here.phi, here.kappa, s[:, j] - start)
+        here, start = End(here.x + end.x, here.y + end.y, end.phi, end.kappa), s[:, j]
+        ends.append(here)
+    return End(*(np.stack(column, axis=1) for column in zip(*ends, strict=True)))
 
 
 def _wrapped(angle: Array) -> Array:
     return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
 
 
+def _places(outlines: Outlines, rods: Rods, s: Array, last: Array) -> Array:
+    """The unknown u (m, k) of contacts that slip; of a rod that rolls the arc on the outline is that on the rod."""
+    if not rods.sticks.any():
+        return last
+    speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(s.shape)
+    rolls = rods.sticks & ~rods.tip & (speed > 0)
+    rolled = rods.u + np.where(rolls, rods.side * (s - rods.s) / np.where(speed > 0, speed, 1.0), 0.0)
+    return np.asarray(np.where(rods.sticks, rolled, last))
+
+
 def residuals(outlines: Outlines, rods: Rods, z: Array) -> Array:
     """What is left of the equations (m, 1 + 3k) of rods with k contacts each, with the unknowns z: κ0, λ, s, and u or ζ."""
     m, k = rods.s.shape
     kappa, force, s, last = z[:, 0], z[:, 1 : 1 + k], z[:, 1 + k : 1 + 2 * k], z[:, 1 + 2 * k :]
-    u, zeta = np.where(rods.sticks, rods.u, last), np.where(rods.sticks, last, rods.zeta)
-    if rods.sticks.any():  # a rod that rolls: the arc on the outline is that on the rod
-        speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(m, k)
-        rolls = rods.sticks & ~rods.tip & (speed > 0)
-        u = np.where(rolls, rods.u + rods.side * (s - rods.s) / np.where(speed > 0, speed, 1.0), u)
+    u, zeta = _places(outlines, rods, s, last), np.where(rods.sticks, last, rods.zeta)
     place = outlines.at(rods.piece.ravel(), u.ravel())
     tau = place.tau.reshape(m, k)
     marched = _march(rods.x0, kappa, s, *_forces(tau, force, zeta))
@@ -217,26 +214,12 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         z[rows] -= change / np.maximum(1.0, np.abs(change * scale).max(axis=1))[:, None]
         rows = remaining
     rods.kappa[:], rods.force[:], s, last = z[:, 0], z[:, 1 : 1 + k], z[:, 1 + k : 1 + 2 * k], z[:, 1 + 2 * k :]
-    if rods.sticks.any():
-        speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(m, k)
-        rolls = rods.sticks & ~rods.tip & (speed > 0)
-        rods.u[:] = np.where(rolls, rods.u + rods.side * (s - rods.s) / np.where(speed > 0, speed, 1.0), rods.u)
+    rods.u[:], rods.zeta[:] = _places(outlines, rods, s, last), np.where(rods.sticks, last, rods.zeta)
     rods.s[:] = s
-    rods.u[:], rods.zeta[:] = np.where(rods.sticks, rods.u, last), np.where(rods.sticks, last, rods.zeta)
     return found
 
 
-@dataclass
-class Shapes:
-    """Rods at arc lengths: (m, q)."""
-
-    x: Array
-    y: Array
-    phi: Array
-    kappa: Array
-
-
-def shapes(outlines: Outlines, rods: Rods, at: Array) -> Shapes:
+def shapes(outlines: Outlines, rods: Rods, at: Array) -> End:
     """The rods at arc lengths (m, q)."""
     m = len(rods.x0)
     tau = outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(m, MOST)
@@ -258,7 +241,7 @@ def shapes(outlines: Outlines, rods: Rods, at: Array) -> Shapes:
     straight = np.where(last, 0.0, 1.0)  # no moment past the last contact, not even a rounding one
     end = piece(fx * straight, fy * straight, phi, kappa * straight, at - here(begins(np.zeros(m), rods.s)))
     x, y = here(begins(rods.x0, marched.x)) + end.x, here(begins(np.zeros(m), marched.y)) + end.y
-    return Shapes(x, y, end.phi, end.kappa)
+    return End(x, y, end.phi, end.kappa)
 
 
 def reactions(outlines: Outlines, rods: Rods) -> tuple[Array, Array, Array]:
