@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask, evenly
 from scan3d.calibration.fit import (
     CHANCE,
+    ROBOTS,
     Fit,
     Noise,
     Problem,
@@ -129,15 +130,15 @@ def calibrated(
     problem, nominal = measured(recording, touched, tare)
     first = _PLACE_NOISE if place is None else max(place / rod.length_m, NEGLIGIBLE)
     noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, _RELATIVE * problem.channels.all())
-    refusal = None
+    fit = _of_rig(problem, nominal, noise, place)
+    refusal = other = None
     try:
-        fit = _of_rig(problem, nominal, noise, place)
         _check(fit, recording)
-        if not is_shaped(fit):
-            return fit
     except InputError as error:
         refusal = error
-    other = _shaped(problem, nominal, noise, recording, place)
+    # where poses of a robot scatter as much as the contacts of a refused fit, no shape of the rod would mend it
+    if is_shaped(fit) and (refusal is None or fit.noise.place > ROBOTS):
+        other = _shaped(problem, nominal, noise, recording, place)
     if other is None and refusal is not None:
         raise refusal
     return other or fit

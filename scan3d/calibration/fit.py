@@ -345,9 +345,10 @@ def is_shaped(fit: Fit) -> bool:
     return bool(((axes.T @ residual) ** 2).sum() > scatter * chdtri(axes.shape[1], 2 * ndtr(-CHANCE)))
 
 
-# Estimated noise of the poses, in rod lengths, that is larger than that of robots, and the variance beyond 1 of the
-# misclosures of an equation with which the model does not fit.
-_ROUGH, _SPOILED = 1e-3, 0.3
+ROBOTS = 1e-3
+"""Noise of a robot's poses, at most, in rod lengths."""
+# Variance beyond 1 of the misclosures of an equation with which the model does not fit.
+_SPOILED = 0.3
 # Lags in rows whose mean product tells deviations that are alike, and those up to which these are followed.
 _NEAR, _FARTHEST = 3, 200
 # Part of the deviations that one cause must explain to be named alone, and the scatter of the reactions across their plane,
@@ -381,7 +382,7 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
     if stated and air.misfit > 1 + CHANCE * np.sqrt(2 / (6 * air.air.sum())):
         sentences.append(_IN_THE_AIR.format(factor=air.misfit**0.5))
-    rough = estimated and fit.noise.place > _ROUGH
+    rough = estimated and fit.noise.place > ROBOTS
     if rough:
         off = length(fit.noise.place * recording.rod.length_m, "m", digits=2)
         sentences.append(_ROUGH_POSES.format(off=off, kind=kind, check=_CHECK[kind]))

@@ -80,7 +80,9 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         return _UNKNOWN
     recorded = sample.left(Undone())
     before = _mean_square(recorded.excess)
-    if before <= _NO_MISFIT or _Trial(known(Undone(), _UNKNOWN), np.empty(0), recorded).fits(before):
+    if before <= _NO_MISFIT or (
+        recorded.level <= before and _Trial(known(Undone(), _UNKNOWN), np.empty(0), recorded).fits(before)
+    ):
         return _UNKNOWN
     stuck = _contradicting(stuck, wrench, sample)
     tried = causes(recording, model, wrench, wrench[_felt(wrench[:, :3], noise)], stuck)
@@ -92,7 +94,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
             group = [cause for cause in tried if (cause.family == "rod") == of_rod]
             trials = [_refined(trial, sample) for trial in _searched(group, few)]
             fitting += [trial for trial in trials if trial.explains(before) >= _EXPLAINS and trial.fits(before)]
-    if not fitting:
+    if all(trial.level > before for trial in fitting):  # errors that hide any misfit explain none
         about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
         second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > _OF_SENSORS
         return _second_contact(along_force) if second else _UNKNOWN
@@ -196,7 +198,7 @@ class _Trial(NamedTuple):
 
     def fits(self, before: float) -> bool:
         """Whether nearly no row contradicts by more than its errors, and those of the numbers, explain."""
-        if self.left is None or self.level > before:  # errors that hide any misfit explain none
+        if self.left is None or self.level > _ALIKE * before:
             return False
         allowed = (_SURELY / _SIGMAS - 1) * self.left.explained + _OF_NUMBERS * np.sqrt(before)
         worst = self.left.excess.max(axis=0)
