@@ -61,7 +61,7 @@ def past_cuboid(radius, friction):
     turn = turned(rng)
     mesh = trimesh.creation.box(2 * HALF)
     body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
-    position, clamps = random_paths(body, 24, 48, rng)
+    position, clamps = random_paths(body, 40, 48, rng)
 
     def away(points):
         return points @ turn.T - np.clip(points @ turn.T, -HALF, HALF)

@@ -128,6 +128,8 @@ def read_recording(path: str | Path) -> Recording:
     """Read the table of a recording and its TOML file.  Raises InputError with the name of the file and the error in it."""
     path = Path(path)
     table = read_table(locate(path), what="recording", name=path.name)
+    if not {*COLUMNS} - {*REACTIONS.values()} <= {*table.names}:
+        _known_columns(path, table.names, None)  # refuses what is no recording before a TOML file is asked for
     meta = _read_sidecar(path)
     told = read_known(meta.section("known")) if "known" in meta else None
     columns = _known_columns(path, table.names, told)
