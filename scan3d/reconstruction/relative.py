@@ -37,7 +37,7 @@ from scan3d.reconstruction.wild import left_out
 from scan3d.recording import Recording
 from scan3d.rigs import with_relative
 
-LARGEST = 0.01
+LARGEST = 0.005
 """Largest relative error that is allowed for; errors of the second order, of the size of its square times the square of the
 factor, are not.  A recording with a larger one contradicts the model."""
 # Probability that noise alone shows an error, so that bounds are wider than they need be.
@@ -62,7 +62,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     there is no friction.  If the body proves smooth, all normals come from the support function fitted to all contacts.
     Points lie inside the rod's centre line by its radius, along the normals, in the plane as in space.
     Where opposed sweeps over the same place contradict each other, the contacts are those with the relative error of the wrench
-    that explains it, of at most 1 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
+    that explains it, of at most 0.5 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
     how much deeper noisy contacts lie in the hull of all than their noise explains, which widens the bounds.
     Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
     model needs, and ValueError for an unknown method.
