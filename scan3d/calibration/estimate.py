@@ -251,7 +251,10 @@ def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, est
     for _ in range(_ROUNDS):
         problem.free[MIXING:TARE] = noise.mixing > 0
         chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
-        fit = fitted(chosen, rig, noise)
+        # a rod whose shape is sought takes long, and a shape that is one is soon found from the first rig
+        fit = fitted(chosen, rig, noise, _BEGUN) if problem.free[SHAPE] else fitted(chosen, rig, noise)
+        if problem.free[SHAPE] and not fit.at_rest:
+            break
         rig, length = fit.rig, fit.rig.length if chosen.free[LENGTH] else None
         noise = estimates(fit, estimate)
         # few rows may alternate between two states
