@@ -205,3 +205,11 @@ def test_maps_state_gravity(tmp_path):
     (tmp_path / "log.csv").write_text("sweep,x,y,z,qw,qx,qy,qz,fx,fy,fz,mx,my,mz\n" + "\n".join(rows) + "\n")
     path.write_text(MAP % "none" + "tared = false\n")
     assert scan3d.import_table(tmp_path / "log.csv", path).gravity == Gravity((0, 0, -1), tared=False)
+
+
+def test_a_heavy_rod_needs_the_direction_of_gravity():
+    heavy = scan3d.Rod(0.04, 1e-4, weight_N=1e-3)
+    with pytest.raises(scan3d.InputError, match="gravity must be a scan3d"):
+        scan3d.Plan(rod=heavy)
+    with pytest.raises(scan3d.InputError, match="needs gravity in the frame of its clamp"):
+        heavy.in_plane()
