@@ -27,8 +27,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, unit_or_zero
@@ -192,8 +190,8 @@ def _wound_alike(facets: Facets) -> Facets:
     """
     kept = (facets.faces != np.roll(facets.faces, 1, axis=1)).all(axis=1)
     faces, corners = facets.faces[kept], facets.corners[kept]
-    mirrored = mirrored_faces(faces)
-    if mirrored is None:
+    mirrored, is_closed = mirrored_faces(faces)
+    if not is_closed:
         return facets
     # in this order the longest edge stays first
     faces[mirrored], corners[mirrored] = faces[mirrored][:, [1, 0, 2]], corners[mirrored][:, [1, 0, 2]]
@@ -258,8 +256,8 @@ def outward_facets(qhull: ConvexHull) -> Index | None:
     """The facets (h, 3) of a hull, which Qhull orients at random, counterclockwise from outside; None if they are no closed
     surface."""
     facets: Index = qhull.simplices.astype(np.int64)
-    mirrored = mirrored_faces(facets)
-    if mirrored is None:
+    mirrored, is_closed = mirrored_faces(facets)
+    if not is_closed:
         return None
     facets[mirrored] = facets[mirrored, ::-1]
     return facets[:, ::-1] if np.linalg.det(qhull.points[facets]).sum() < 0 else facets
@@ -299,28 +297,7 @@ def check_convex(mesh: Any, what: str) -> None:
 
 def turned_alike(faces: Index) -> Index:
     """Faces (m, 3) turned so that neighbours run through their common edge in opposite directions, if they do not yet."""
-    if runs_both_ways(faces):
-        return faces
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    order = np.lexsort(np.sort(ends, axis=1).T)
-    rows = np.sort(ends, axis=1)[order]
-    following = (rows[1:] == rows[:-1]).all(axis=1)
-    # edges of two faces, and no more
-    single = following & ~np.append(following[1:], False) & ~np.append(False, following[:-1])
-    one, other = order[:-1][single], order[1:][single]
-    against = (ends[one] == ends[other]).all(axis=1)
-    count = len(faces)
-    links = coo_array((np.where(against, 4, 1), (one // 3, other // 3)), shape=(count, count)).tocsr()
-    links = links + links.T  # two faces have three edges in common at most
-    flipped, seen = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-    for start in range(count):
-        if seen[start]:
-            continue
-        reached, before = breadth_first_order(links, start, directed=False)
-        seen[reached] = True
-        for face in reached[1:].tolist():
-            flipped[face] = flipped[before[face]] != (links[face, before[face]] >= 4)
-    return np.where(flipped[:, None], faces[:, ::-1], faces)
+    return faces if runs_both_ways(faces) else np.where(mirrored_faces(faces)[0][:, None], faces[:, ::-1], faces)
 
 
 def check_body(mesh: Any) -> None:

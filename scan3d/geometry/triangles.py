@@ -160,24 +160,21 @@ def opposite_edges(faces: Index) -> Index | None:
     return opposite.reshape(-1, 3)
 
 
-def mirrored_faces(faces: Index) -> Mask | None:
-    """Which triangles (m,) of a closed surface, given by vertex numbers (m, 3), are wound against the first one.
+def mirrored_faces(faces: Index) -> tuple[Mask, bool]:
+    """Which triangles (m,), given by vertex numbers (m, 3), are wound against the first one of their part, and whether they are
+    one closed surface with two sides.
 
     Two faces that are wound alike run through their common edge in opposite directions.  So neighbours decide, and no
-    geometry: the normal of a sliver is rounding.  None if an edge does not belong to exactly two faces, or if the surface has
-    several parts or one side only.
+    geometry: the normal of a sliver is rounding.  Faces are neighbours if they alone have an edge; in a part with one side only
+    none counts as mirrored.
     """
     count = len(faces)
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
     order = np.lexsort((high, low))
-    if len(order) % 2:
-        return None
-    first, second = order.reshape(-1, 2).T
-    pairs = (low[first] == low[second]) & (high[first] == high[second])
-    separate = (low[second[:-1]] != low[first[1:]]) | (high[second[:-1]] != high[first[1:]])
-    if not (pairs.all() and separate.all()):
-        return None
+    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+    pair = same & ~np.append(same[1:], False) & ~np.append(False, same[:-1])
+    first, second = order[:-1][pair], order[1:][pair]
     # each face stands twice in this graph, as it is and mirrored; neighbours that are wound alike are joined
     face, neighbour, against = first // 3, second // 3, start[first] == start[second]
     ends = (
@@ -185,11 +182,9 @@ def mirrored_faces(faces: Index) -> Mask | None:
         np.concatenate([neighbour + count * against, neighbour + count * ~against]),
     )
     links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
-    parts, label = connected_components(links, directed=False)
-    if parts != 2 or (label[:count] == label[count:]).any():
-        return None
-    mirrored: Mask = label[:count] != label[0]
-    return mirrored
+    parts, label = connected_components(links, directed=False)  # numbered by their first members
+    mirrored: Mask = label[:count] > label[count:]
+    return mirrored, parts == 2 and 2 * len(first) == faces.size and bool((label[:count] != label[count:]).all())
 
 
 # Decimals by which trimesh tells vertices apart (`trimesh.tol.merge`). It is a convention of that program, and no choice.

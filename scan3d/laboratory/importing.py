@@ -31,7 +31,6 @@ from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
 from scan3d.numbers import share
 from scan3d.recording import FORCE_SIGMAS, Recording, completed, reaction_columns
-from scan3d.ringing import ringing
 from scan3d.spatial import inverse
 
 KIND = "import"
@@ -282,12 +281,12 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
         )
     else:
         sensed = _levelled(log, clock, given_air(clock, map.air, where))
-    swings = ringing(sensed.wrench, sensed.noise, run)
+    swings = filtering.ringing(sensed.wrench, sensed.noise, run)
     if swings.any() and map.air == "auto":
         # where the rod rings is neither zero nor noise; a rod that rings all the time leaves what was found before
         with contextlib.suppress(InputError):
             sensed = _levelled(log, clock, find_air(log.wrench, clock, ~swings, where))
-            swings = ringing(sensed.wrench, sensed.noise, run)
+            swings = filtering.ringing(sensed.wrench, sensed.noise, run)
     return sensed._replace(
         wrench=np.where(swings[:, None], 0.0, sensed.wrench), air=sensed.air & ~swings, ringing=swings
     )

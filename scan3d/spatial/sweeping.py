@@ -219,7 +219,7 @@ class _Lanes:
         self.results = _untouched(*friction.shape)
         self._longest, self._effort = 1.0 / substeps, effort
         self._last = paths.samples - 1
-        # Newton's method ends at each border of a piece of a polyhedron
+        # steps of Newton's method before a step fails: on a polyhedron each ends at the border of a face, an edge or a vertex
         self._patience = 9 if body.smooth else 25
 
     def run(self, touch: Touch) -> tuple[Index, Array]:
@@ -306,9 +306,11 @@ class _Lanes:
         friction = self.friction[lanes.number, self._sample_after(lanes.target)]
         frozen = (lanes.mode == Mode.SLIDE) & (lanes.iterations < lanes.frozen)
         mode = np.where(frozen, np.int8(Mode.FROZEN), lanes.mode)
+        # the slip of a contact that sticks weighs ten times its part of the step
         law = Law(friction, lanes.point, lanes.state[3], mode, lanes.slip_direction, 10 / step, lanes.drag)
         equations = system(lanes.trial_state, rod, patch, law)
         size = np.abs(equations.residual).max(axis=0)
+        # in rod lengths and unit forces: rounding, which Newton's method reaches in one step from its root
         solved = (size < 1e-11) & (~frozen | (friction == 0))
         accepted = solved & self._valid(equations, friction, patch.point, step)
         failed = solved | ~np.isfinite(size) | (lanes.iterations >= self._patience)
@@ -337,7 +339,7 @@ class _Lanes:
         try:
             solved = np.linalg.solve(jacobian, right)
         except np.linalg.LinAlgError:
-            # singular to the last bit
+            # singular to the last bit, which a shift by rounding ends
             solved = np.linalg.solve(jacobian + 1e-12 * np.eye(6), right)
         step = -solved[:, :, 0].T
         if not self.body.smooth:
@@ -356,7 +358,7 @@ class _Lanes:
         state[1] = np.clip(state[1], -_LARGEST_ANGLE, _LARGEST_ANGLE)
         limit = np.cos(state[1] / 2) ** 2
         lanes.straightened[rows] = np.where(state[2] <= STRAIGHT, lanes.straightened[rows] + 1, 0)
-        # half the way to the limit instead of nearly all of it
+        # at the limit of q², cos²(α/2), the rod is infinitely long: half the way there instead of nearly all of it
         state[2] = np.where(state[2] >= 0.999 * limit, (before + limit) / 2, np.maximum(state[2], STRAIGHT))
         state[2] = np.minimum(state[2], 0.9999 * limit)
         lanes.trial_state[:, rows] = state
@@ -372,7 +374,7 @@ class _Lanes:
         against_slip = (equations.dissipated >= 0) | (friction == 0) | flowing
         valid &= np.where(equations.sticks, held, against_slip)
         path = point - lanes.point
-        # farther solutions are on other branches
+        # in rod lengths, and in paths of the clamp: farther solutions are on other branches
         reach = np.maximum(0.08, 3 * step * self.paths.pace[lanes.number])
         # a rod that first lies along a face or an edge may touch it anywhere
         anywhere = flowing | (lanes.state[2] <= 2 * STRAIGHT)
@@ -457,14 +459,15 @@ class _Lanes:
         lanes.mode[rows], lanes.branches[rows] = Mode.SLIDE, 0
         target, clear, bend = lanes.target[rows], lanes.clear_after[rows], lanes.state[2, rows]
         short = target - lanes.progress[rows] <= 0.25
-        # the lift-off, if the straight rod is clear of the body, the rod nearly straight, and the step short
+        # the lift-off, if the straight rod is clear of the body (places and steps in samples), the rod nearly straight (by q²),
+        # and the step short
         off = (target >= clear - 0.02) & (bend < 0.1) & short
         straightened = lanes.straightened[rows] >= _LARGEST_STRAIGHTENED
         # or if Newton's method straightens a rod that is even less bent, and the straight rod is nearly clear
         off |= (target >= clear - 1.0) & (bend > 2 * STRAIGHT) & (bend < 0.02) & straightened
         flowing = lanes.drag[rows] > 0
         flow = rows[flowing]
-        lanes.drag[flow] *= 4.0
+        lanes.drag[flow] *= 4.0  # what failed is tried with a quarter of the slip
         lanes.mode[flow] = Mode.EITHER
         lanes.flow_steps[flow] += 1
         halved = rows[~flowing & ~off]
@@ -474,15 +477,16 @@ class _Lanes:
         lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
         self._restart(rows)
         self._leave(rows[off])
+        # eight failures in succession lead beyond this drag
         self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > 1e4)], End.LOST)
 
     def _snap(self, rows: Index) -> None:
         """Begin to follow the overdamped flow from states that no equilibrium follows."""
         lanes = self._lanes
-        # in unit forces per rod length
+        # in unit forces per rod length: the slip of the first step, which later ones adapt, is a part of the rod
         lanes.drag[rows], lanes.mode[rows], lanes.flow_steps[rows] = 0.3, Mode.EITHER, 0
         progress = lanes.progress[rows]
-        # beyond the fold, so that the flow is not slow there
+        # half a sample beyond the fold, so that the flow is not slow there
         lanes.target[rows] = np.minimum(np.floor(progress + NEGLIGIBLE) + 1, progress + 0.5)
 
     def _flow(self, rows: Index, equations: System) -> None:
@@ -490,13 +494,14 @@ class _Lanes:
         lanes = self._lanes
         slip, sticks = equations.slip[rows], equations.sticks[rows]
         lanes.flow_steps[rows] += 1
-        # longer steps where the last one was short
+        # longer steps where the last one was shorter than 2 % of the rod, faster than shorter ones where it was not
         lanes.drag[rows] *= np.where(slip < 0.02, 1 / 3, 1.5)
+        # at rest nothing slips, though hardly any drag holds it back
         rests = ((slip < 1e-7) & (lanes.drag[rows] < 1e-3)) | sticks
         ended = rows[rests]
         lanes.drag[ended], lanes.has_snapped[ended], lanes.step[ended] = 0.0, True, _SMALLEST
         lanes.mode[ended] = np.where(sticks[rests], Mode.STICK, Mode.SLIDE)
-        # hardly any force presses it to the body
+        # less than a twentieth of the force is along the normal
         leaves = ~rests & (equations.normal_force[rows] < 0.05)
         clear = lanes.target[rows] >= lanes.clear_after[rows]
         self._leave(rows[leaves & clear])
