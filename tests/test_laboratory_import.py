@@ -27,6 +27,12 @@ RIG_WITH_NOISE = Rig(noise=0.002)
 
 @pytest.fixture(scope="module")
 def planar():
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=3, sweeps=3, samples=24))
+
+
+@pytest.fixture(scope="module")
+def longer():
+    """As many rows as strokes, stretches in the air and filters need."""
     return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4, sweeps=4, samples=32))
 
 
@@ -123,7 +129,7 @@ UNITS = {
     sign=st.tuples(*[st.sampled_from([1, -1])] * 3), bias=SOME, delimiter=st.sampled_from([",", ";", "\t", " "]),
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:Gimbal lock")  # at the poles of Euler angles
-@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_map_and_its_inverse(
     tmp_path, planar, turn, arm, clamp, clamp_arm, shows, kind, units, sign, bias, delimiter
 ):
@@ -301,16 +307,16 @@ def test_strokes_back_count_on_request(tmp_path, planar):
     assert found.recording.axes()[:, 0] == pytest.approx(-planar.axes()[rows][:, 0], abs=1e-14)
 
 
-def test_stretches_in_the_air_can_be_given(tmp_path, planar):
-    log = track(planar)
+def test_stretches_in_the_air_can_be_given(tmp_path, longer):
+    log = track(longer)
     free = np.flatnonzero(~log.wrench.any(axis=1))
     runs = np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)
     air = [[float(log.time[run[0]]), float(log.time[run[-1]])] for run in [*runs[::9], runs[-1]]]
-    data = map_of(planar.rod, EXACT, tare={"air": air})
+    data = map_of(longer.rod, EXACT, tare={"air": air})
     found = imported(tmp_path / "raw.csv", table(log, EXACT), data)
     rows = same_rows(log, found)
     assert found.summary.air == tuple(map(tuple, air))
-    assert np.abs(six(found.recording) - six(planar)[rows]).max() < 1e-12
+    assert np.abs(six(found.recording) - six(longer)[rows]).max() < 1e-12
 
 
 def test_a_tared_table_without_time_is_taken_as_it_is(tmp_path, planar):
@@ -435,9 +441,9 @@ def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar):
 @pytest.mark.parametrize(
     ("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), pytest.param(2e-6, 5e-6, marks=pytest.mark.trust)]
 )
-def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, step_m):
+def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, longer, jitter_m, step_m):
     """Slow motion, 20 µm of jitter, and an encoder of 10 µm: the sweeps are whole, but for some rows at their ends."""
-    log, slower = track(planar), 12
+    log, slower = track(longer), 12
     at = np.linspace(0, len(log.time) - 1, slower * len(log.time))
     index = np.arange(len(log.time))
     position = np.stack([np.interp(at, index, column) for column in log.position.T], axis=1)
@@ -451,10 +457,10 @@ def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, 
         quaternion=log.quaternion[nearest],
         row=log.row[nearest],
     )
-    found = imported(tmp_path / "raw.csv", table(long, RIG_WITH_NOISE), map_of(planar.rod, RIG_WITH_NOISE))
-    truth, mine = np.where(long.row >= 0, planar.sweep[long.row], -1), found.sweep
-    assert found.summary.sweeps == len(np.unique(planar.sweep))
-    for number, original in enumerate(dict.fromkeys(planar.sweep.tolist())):
+    found = imported(tmp_path / "raw.csv", table(long, RIG_WITH_NOISE), map_of(longer.rod, RIG_WITH_NOISE))
+    truth, mine = np.where(long.row >= 0, longer.sweep[long.row], -1), found.sweep
+    assert found.summary.sweeps == len(np.unique(longer.sweep))
+    for number, original in enumerate(dict.fromkeys(longer.sweep.tolist())):
         rows = truth == original
         # all of its rows but a few, and others within the 20 standard deviations over which the direction is determined
         assert (mine[rows] == number).mean() > 0.97
@@ -495,9 +501,9 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
 
 
 @pytest.mark.slow
-def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
-    write(tmp_path / "long.csv", table(track(planar, air=400), RIG_WITH_NOISE))
-    data = map_of(planar.rod, RIG_WITH_NOISE)
+def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, longer):
+    write(tmp_path / "long.csv", table(track(longer, air=400), RIG_WITH_NOISE))
+    data = map_of(longer.rod, RIG_WITH_NOISE)
     full = scan3d.import_table(tmp_path / "long.csv", data)
     data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
     raw = load(tmp_path / "long.csv", read_map(data))
