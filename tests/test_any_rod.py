@@ -313,6 +313,7 @@ def test_rods_that_are_too_heavy_and_methods_for_other_rods():
         planar.reconstruct(0.0, -0.5, 0.1, 0.5, "will", rod=Rod(tip_diameter=0.5))
 
 
+@pytest.mark.slow
 def test_rows_may_have_a_gravity_each():
     rng, triangle = np.random.default_rng(3), planar.Polygon([(-0.3, 1.0), (0.0, 0.6), (0.3, 1.0)])
     gravity = np.array([(0.0, -1.0), (1.0, 0.2), (-0.6, 2.0)])

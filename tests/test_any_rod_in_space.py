@@ -99,6 +99,7 @@ PLANAR = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", PLANAR)
 def test_rods_in_a_plane_are_those_of_planar(rod):
     circle = planar.Circle(radius=0.9, center=(0.0, 1.3))

@@ -120,6 +120,7 @@ def test_every_parameter_is_recovered_without_noise(kind, truth):
     assert set(found.names) >= {"bending_stiffness_Nm2", "length_m", "clamp_y_mm", "sensor_turn_y_deg", "tare_my_Nm"}
 
 
+@pytest.mark.slow
 def test_with_noise_the_errors_are_those_that_are_stated(noisy):
     recording, found, kind = noisy
     deviations = errors(found, recording, kind) / found.standard_deviations
@@ -385,6 +386,7 @@ def touches(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_rig_and_prints_a_table(call, touches, tmp_path, on_sphere):
     rig = tmp_path / "new" / "rig.toml"
     code, out, err = call("calibrate", touches, "--sphere", 0.03, "--unit", "m", "--out", rig)

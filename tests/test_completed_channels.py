@@ -48,6 +48,7 @@ def without(recording, channel, folder, known):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "rod"), [("m0z", WIRE), ("f0y", WIRE), ("f0x", CONE)])
 def test_recordings_of_two_channels_are_completed(channel, rod, tmp_path):
     mesh, whole = scanned(rod, few=rod is CONE)  # which is marched for every value tried

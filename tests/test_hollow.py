@@ -151,6 +151,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
     assert (np.abs(nearest(cloud.points, mesh)[0]) > 1e-9 * cloud.rod_length).mean() <= 0.005
 
 
+@pytest.mark.slow
 def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing():
     """The first row in which a rod touched two legs of a table gave a contact, a quarter of the rod's length off."""
     legs = []

@@ -61,6 +61,7 @@ def test_the_command_writes_a_recording_with_its_origin(place, capsys):
     assert data["noise_force_N"] > 0
 
 
+@pytest.mark.slow
 def test_sweeps_come_after_those_of_an_earlier_recording(place, capsys):
     run = ["import", "raw.csv", "--map", "rig.toml", "--quiet"]
     assert main([*run, "--out", "first.csv"]) == 0
@@ -106,6 +107,7 @@ def test_a_dry_run_shows_rows_and_writes_a_picture_only(place, capsys):
     assert (place / "raw.png").read_bytes() == drawn
 
 
+@pytest.mark.slow
 def test_a_first_map_is_written_and_completed(place, recording, capsys):
     columns = table(track(recording), RIG)
     units = dict(t="t_s", x="TCP X [mm]", y="TCP Y [mm]", z="TCP Z [mm]", a="Roll", b="Pitch", c="Yaw")

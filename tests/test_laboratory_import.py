@@ -83,6 +83,7 @@ def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording)
     assert not (found.air & log.wrench.any(axis=1)).any()
 
 
+@pytest.mark.slow
 def test_with_noise_the_contacts_come_back_within_what_is_stated(tmp_path, recording):
     # of the largest force, which in space is that of a single steep contact
     rig = Rig(noise=0.0002 if recording.six_axis else 0.002)
@@ -290,6 +291,7 @@ def test_columns_of_sweeps_and_moves_are_used_where_they_are(tmp_path, planar, g
     assert np.abs(six(found.recording) - six(planar)[rows]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_strokes_back_count_on_request(tmp_path, planar):
     log = track(planar)
     turned = log._replace(
@@ -419,6 +421,7 @@ def test_a_wrench_in_the_world_needs_all_channels(tmp_path, planar):
         imported(tmp_path / "raw.csv", table(track(planar), EXACT), data)
 
 
+@pytest.mark.slow
 def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar):
     log, late = track(planar), 7
     columns, data = table(log, EXACT), map_of(planar.rod, EXACT)

@@ -26,6 +26,7 @@ def test_the_open_side_is_named(seen, words):
     assert ("table" in missing(cloud)) == ("below" in words)
 
 
+@pytest.mark.slow
 def test_a_table_closes_the_side_below():
     cloud = spatial_cloud(BALL, 1500, 1, seen=lambda _, n: n[:, 2] > 0.02)
     standing = replace(cloud, table=-0.3)

@@ -44,6 +44,7 @@ def test_growth(make, tmp_path):
         assert (earlier & ~later).sum() < 0.01 * earlier.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
     for name in ("a.gif", "b.gif"):

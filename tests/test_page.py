@@ -59,6 +59,7 @@ def test_the_page_holds_the_scan(cube):
     assert page(cube) == text
 
 
+@pytest.mark.slow
 def test_the_page_of_a_scan_in_space():
     scene = scanned_in_space()
     layers = layers_of(page(scene))

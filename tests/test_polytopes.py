@@ -74,6 +74,7 @@ print((corners @ dual.T - 1).max())
 """
 
 
+@pytest.mark.slow
 def test_half_spaces_through_one_corner_end():
     command = [sys.executable, "-c", CODE.format(DUAL.tolist())]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)

@@ -127,6 +127,7 @@ def test_a_contact_in_a_dent_contradicts_convexity(phase, code, noise, undiagnos
     assert not cloud.convex or code in [each.code for each in found]
 
 
+@pytest.mark.slow
 def test_the_report_says_what_is_assumed_and_what_was_tested():
     analysis = analyse(recorded(1e-4), BODY, "hull")
     data = report(analysis, settings={})["certificate"]

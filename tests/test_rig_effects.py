@@ -93,6 +93,7 @@ def test_contacts_move_as_predicted(request, model, name):
     assert found.max() == pytest.approx(size, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_length_moves_contacts_to_the_tip_only(flat):
     rig = RigUncertainty(("length_relative",), [[1e-6]])
     cloud = touched(dataclasses.replace(flat, rig=rig))
@@ -108,6 +109,7 @@ def test_the_length_moves_contacts_to_the_tip_only(flat):
         assert still == right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_a_turned_and_scaled_world_changes_nothing(request, model):
     recording = request.getfixturevalue("flat" if model == "planar" else "space")

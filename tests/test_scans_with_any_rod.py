@@ -130,6 +130,7 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
         scan3d.reconstruct(replace(whole, rod=replace(rod, curvature_per_m=-3.0)), model="planar")
 
 
+@pytest.mark.slow
 def test_planar_scans_with_heavy_rods_find_the_body_where_gravity_lies_in_their_planes(tmp_path):
     mesh, rod = trimesh.creation.icosphere(1, 8.0), replace(WIRE, weight_N=0.1 * WIRE.force_unit_N)
     plan = scan3d.Plan(slices=1, sweeps=2, samples=12, spacing="uniform", rod=rod, gravity=Gravity((0.3, -1, 0), True))

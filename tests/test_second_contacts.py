@@ -148,6 +148,7 @@ def test_places_next_to_rods_against_elastic_lines():
         np.testing.assert_allclose(found.s[own], at / 2000 * swept.s1[k], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
     """A rod that passes a corner known from other sweeps touches it; what its tip touches is the body, or is not told."""
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)

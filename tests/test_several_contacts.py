@@ -129,6 +129,7 @@ def test_convex_contours_agree_with_their_tables():
         np.testing.assert_allclose(followed.rods.s[:, 0], table.s1[1:-1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_mirror_image():
     polygon, base = planar.Polygon(letter_l_outline(4.5)), np.array([0.2, -0.36, -0.42])
     swept = planar.sweep(polygon, 0.2, base=base)

@@ -23,6 +23,7 @@ def ball():
     return mesh, scan3d.simulate(mesh, scan3d.Plan(slices=20, samples=16, sweeps=6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [0.01, 0.03, 0.1])
 def test_slices_moved_by_less_than_the_error_of_heights_leave_the_body_inside(error, ball):
     """Secants of slices that lie close together turn by much where their heights are off; a margin does not allow for that."""

@@ -18,6 +18,7 @@ def ellipsoid():
     return cloud, normals[cloud.row]
 
 
+@pytest.mark.slow
 def test_the_intervals_contain_the_normals(ellipsoid):
     cloud, exact = ellipsoid
     tangential = cloud.phase == planar.Phase.TANGENTIAL
@@ -29,6 +30,7 @@ def test_the_intervals_contain_the_normals(ellipsoid):
     np.testing.assert_allclose((found.normal * cloud.tangents).sum(axis=1)[tangential], 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_normals_on_straight_edges_are_exact():
     """Contacts along the edges of a cube whose tangents cross the edges: the two edges' ends leave one normal."""
     rng = np.random.default_rng(0)
@@ -51,6 +53,7 @@ def test_normals_on_straight_edges_are_exact():
     assert ((found.normal * outward)[inner].sum(axis=1) > 0).all()
 
 
+@pytest.mark.slow
 def test_contacts_on_faces_and_inside_edges_of_a_cube():
     """A tip contact on a face has the face's normal; a contact across an edge, whose neighbours lie on one line, one normal."""
     rng = np.random.default_rng(2)
@@ -71,6 +74,7 @@ def test_contacts_on_faces_and_inside_edges_of_a_cube():
     assert (found.half_width[:8] > 0.9).all()
 
 
+@pytest.mark.slow
 def test_contacts_inside_the_hull_contradict_and_have_no_normal():
     points = np.vstack([np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T, [[0.0, 0.0, 0.0]]])
     tangents = np.tile([0.6, 0.8, 0.0], (9, 1))

@@ -16,6 +16,7 @@ def fitted(cloud, degree=4):
     return dataclasses.replace(cloud, fit=fit_support(cloud.points, cloud.normals, degree))
 
 
+@pytest.mark.slow
 def test_a_smooth_body_is_the_fitted_one():
     cloud = fitted(spatial_cloud(SMOOTH, 1500, 2, 0.01))
     mesh = surface(cloud)

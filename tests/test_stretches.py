@@ -32,6 +32,7 @@ def test_aimed_sweeps_reach_into_the_bay(parts):
     assert after < 0.4 * before
 
 
+@pytest.mark.slow
 def test_aims_point_at_the_widest_stretch(parts):
     recording, cloud = parts[0]
     sheets, found = sheets_of(recording, cloud), aims(recording, cloud)
@@ -48,6 +49,7 @@ def test_aims_point_at_the_widest_stretch(parts):
     assert near.origin @ direction == pytest.approx((letter_l().vertices[:, :2] @ direction).min() - 0.5)
 
 
+@pytest.mark.slow
 def test_a_session_aims_at_stretches_and_then_between_slices(parts):
     recording, cloud = parts[0]
     moved = replace(recording, position_m=recording.position_m - np.array([1e-3, 1e-3, 0.0]))

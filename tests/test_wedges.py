@@ -75,6 +75,7 @@ def test_the_body_reaches_into_no_wedge():
     assert entered(body, cloud, kappa / 4)[0] > 0.005 * of
 
 
+@pytest.mark.slow
 def test_the_triangles_bound_the_body():
     body, cloud = noisy_cloud(0)
     bounds = enclosure(cloud)
