@@ -106,7 +106,6 @@ def inflected_rods():
     return InflectedRods(*(column[has_two_zeros] for column in rods))
 
 
-@pytest.mark.slow
 def test_inflected_rods_are_solutions_of_the_equations(inflected_rods):
     alpha, f, m0z, inflection, tip_slope = inflected_rods
     fractions = np.linspace(0, 1, 101)
@@ -118,7 +117,6 @@ def test_inflected_rods_are_solutions_of_the_equations(inflected_rods):
     assert (kappa[:, :-1][after[:, :-1]] > 0).all()
 
 
-@pytest.mark.slow
 def test_reconstruction_rejects_all_that_an_object_could_push(inflected_rods):
     # α̃ = α - ζ < φ1 < α̃ + π: an object can push the tip for some friction angle ζ >= 0 if and only if φ1 < α + π
     pushed = inflected_rods.tip_slope < inflected_rods.alpha + np.pi - 1e-6
@@ -130,7 +128,6 @@ def test_reconstruction_rejects_all_that_an_object_could_push(inflected_rods):
     assert np.isnan(contacts.s1[pushed]).all()
 
 
-@pytest.mark.slow
 def test_inflected_rods_are_not_mistaken_for_tip_contacts(inflected_rods):
     # Rods that cannot be pushed are not equilibria with any object; the first zero of their curvature is the contact point
     # of a tangential contact with the same reactions.
@@ -140,7 +137,6 @@ def test_inflected_rods_are_not_mistaken_for_tip_contacts(inflected_rods):
     assert np.abs(contacts.s1 - inflected_rods.inflection)[tangential].max() < 1e-5
 
 
-@pytest.mark.slow
 def test_reconstruction_rejects_rods_bent_against_the_sweep(inflected_rods):
     contacts = inflected_rods.reconstruct(side=-1)
     assert (contacts.status == Status.WRONG_SIDE).all()

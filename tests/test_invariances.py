@@ -119,7 +119,6 @@ def test_events_of_the_mirror_image(contour, friction):
     np.testing.assert_allclose(rightward.m0z, -leftward.m0z, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.slow
 @eight_examples
 @given(contours, frictions, st.floats(-5.0, 5.0))
 def test_shift(contour, friction, shift):
