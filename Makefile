@@ -48,7 +48,6 @@ trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd fi
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.kills --kills 100
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ)
-	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.covariances
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group strong --slices 13
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group rig --slices 8

@@ -1,10 +1,10 @@
-"""What a scan states of the body holds, whatever the body, the plan, the noise and the digits; and so do the covariances."""
+"""What a scan states of the body holds, whatever the body, the plan, the noise and the digits."""
 
 import dataclasses
 
 import pytest
 
-from tests.robustness import bounds, covariances
+from tests.robustness import bounds
 
 
 def wrong(seeds, **limits):
@@ -38,15 +38,6 @@ def test_scans_are_as_stated(seeds):
 @pytest.mark.parametrize("seeds", parts(200, 203, 230))
 def test_exact_scans_are_as_stated(seeds):
     assert wrong(seeds, noise=(0.0,)) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [covariances.BODIES[0], *(pytest.param(name, marks=pytest.mark.trust) for name in covariances.BODIES[1:])]
-)
-def test_covariances_are_as_stated(name):
-    for noise, checked in covariances.scans(name).items():
-        assert covariances.outside(checked) == [], noise
 
 
 def test_draws_repeat():
