@@ -38,7 +38,7 @@ def off_sphere(recording, found, rod):
 @pytest.mark.slow
 def test_a_tapered_and_curved_rod_is_found(tmp_path):
     rod = Shaped(tip=0.7, curvature=(-0.1, 0.05), noise=5e-4)
-    recording, found = found_of(rod, sweeps=12, samples=24)
+    recording, found = found_of(rod, sweeps=8, samples=20)
     error, deviation = shape_errors(found, rod)
     assert np.abs(error[0]) < 0.03 * rod.tip
     assert np.abs(error[1:]).max() < 0.02

@@ -1,9 +1,11 @@
 """Results are written whole or not at all, at whatever call of the file system a run ends."""
 
 import os
+import random
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -18,10 +20,13 @@ from scan3d.files.whole import (
     locate,
     read_report,
     replacing,
+    sha256,
     write_atomic,
     write_together,
 )
+from scan3d.scenes import read_folder
 
+MESHES = Path(__file__).parents[1] / "meshes"
 can_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the operating system can't fork a process")
 # Every third call of the file system here, every call in `make trust`.
 HOW = [
@@ -212,8 +217,7 @@ def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
 
     for name in ("flock", "lockf", "fcntl"):
         monkeypatch.setattr(fcntl, name, refuse)
-    cube = Path(__file__).parents[1] / "meshes" / "cube.stl"
-    scan3d.scan(cube, tmp_path, slices=4, sweeps=4, samples=8)
+    scan3d.scan(MESHES / "cube.stl", tmp_path, slices=4, sweeps=4, samples=8)
     assert names(tmp_path) == [
         "cloud.ply",
         "recording.csv",
@@ -222,6 +226,61 @@ def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
         "surface.ply",
         "view.html",
     ]
+
+
+def started(*arguments):
+    # without a display this class of VTK's windows can't be opened, and there are no pictures
+    hidden = {"OMP_NUM_THREADS": "1", "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **hidden}
+    command = [sys.executable, "-m", "scan3d", *map(str, arguments), "--quiet"]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def until(child, condition):
+    while child.poll() is None and not condition():
+        time.sleep(0.0002)
+
+
+def one_result(folder):
+    """The hashes of the files in a folder but the report, which the program has read without complaint."""
+    report = read_folder(folder, "mm")[1]
+    files = {path.name: sha256(path) for path in folder.iterdir() if path.is_file()}
+    assert files.keys() == set(report["files"])
+    del files["report.json"]
+    assert files == report["sha256"]
+    return files
+
+
+@pytest.mark.trust
+def test_a_run_that_is_killed_leaves_the_whole_result_of_it_or_of_the_one_before(tmp_path):
+    """100 kills of runs of two recordings in turn: at any time, while they write, and while they move the files."""
+    draw, out, expected, kept = random.Random(0), tmp_path / "out", [], []
+    moments = {None: 0.0, f"{whole._WORK}-*": 0.0, whole._COMPLETE: 0.003}
+    for name in ("cube", "egg"):
+        mesh, log, alone = MESHES / f"{name}.stl", tmp_path / f"{name}.csv", tmp_path / name
+        few = ("--slices", "4", "--sweeps", "4", "--samples", "8")
+        assert started("simulate", mesh, "--out", log, *few).wait() == 0
+        begun, child = time.monotonic(), started("reconstruct", log, "--out", alone)
+        until(child, lambda place=alone: any(place.glob(f"{whole._WORK}-*")))
+        writing = time.monotonic()
+        assert child.wait() == 0
+        moments |= {None: time.monotonic() - begun, f"{whole._WORK}-*": time.monotonic() - writing}
+        expected.append(one_result(alone))
+    assert started("reconstruct", tmp_path / "egg.csv", "--out", out).wait() == 0
+    for k in range(100):
+        child = started("reconstruct", tmp_path / ("cube.csv", "egg.csv")[k % 2], "--out", out)
+        sign = draw.choice(list(moments))
+        if sign:
+            until(child, lambda sign=sign: any(out.glob(sign)))
+        end = time.monotonic() + moments[sign] * draw.random()
+        until(child, lambda end=end: time.monotonic() > end)
+        child.kill()
+        child.wait()
+        kept.append(expected.index(one_result(out)))
+    assert {found == k % 2 for k, found in enumerate(kept)} == {False, True}
+    assert started("reconstruct", tmp_path / "cube.csv", "--out", out).wait() == 0
+    assert one_result(out) == expected[0]
+    assert not list(out.glob(".scan3d-*"))
 
 
 # --- single files and folders ---
