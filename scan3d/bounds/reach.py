@@ -31,7 +31,6 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.bounds.free_space import Sheets, contradicted, place_errors, sheets_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.levels import below
 from scan3d.numbers import length
 from scan3d.recording import Recording
 
@@ -94,8 +93,8 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     in_air = _joined(to_contact >= R - half - error, grid.border())
     to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
     outer, inner = (
-        below(to_body, level, grid.origin, grid.step),
-        below(-to_air, -level, grid.origin, grid.step),
+        _below(to_body, level, grid.origin, grid.step),
+        _below(-to_air, -level, grid.origin, grid.step),
     )
     contradictions = [
         f"{count} {what}"
@@ -219,3 +218,35 @@ class _Grid:
         found = np.full(len(points), -np.inf)
         found[known] = values[tuple(cells.T)]
         return found
+
+
+def _below(field: Array, level: float, origin: Array, step: float) -> Any:
+    """The surface of the region below a level, as a `trimesh.Trimesh`, outward; empty where there is none.
+
+    field (nx, ny, nz)
+        values at ``origin + step * (i, j, k)``, linear in between; above the level at the border of the grid.
+    """
+    import trimesh
+    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
+
+    image = vtkImageData()
+    image.SetDimensions(*field.shape)
+    image.SetOrigin(*origin)
+    image.SetSpacing(step, step, step)
+    image.GetPointData().SetScalars(numpy_to_vtk(np.asarray(field, dtype=float).ravel(order="F"), deep=True))
+    contour = vtkFlyingEdges3D()
+    contour.SetInputData(image)
+    contour.SetValue(0, level)
+    contour.ComputeNormalsOff()
+    contour.ComputeGradientsOff()
+    contour.ComputeScalarsOff()
+    contour.Update()
+    found = contour.GetOutput()
+    if not found.GetNumberOfPolys():
+        return trimesh.Trimesh()
+    vertices = vtk_to_numpy(found.GetPoints().GetData()).astype(float)
+    faces = vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    return mesh if mesh.volume > 0 else trimesh.Trimesh(vertices, faces[:, ::-1], process=False)
