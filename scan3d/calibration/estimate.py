@@ -416,6 +416,8 @@ _SEARCHED, _IMPROVED = 150, 400
 _TURNS, _DISTANCES = np.radians(np.arange(0, 360, 15)), np.linspace(-1.0, 1.0, 21)
 _STIFFNESS, _PLANAR_TURNS = np.log([0.5, 0.7, 1.0, 1.4, 2.0]), np.radians(np.arange(-60, 61, 15))
 _POINTS, _BEGUN = 4, 12
+# Best points from which the shape of a rod is sought.
+_SHAPES = 3
 # The second smallest singular value must exceed the smallest by this factor for the rod's direction to follow from the wrench.
 _DISTINCT = 1.3
 # Contacts are far from the tip within this part of the quantile of s1 that serves as the largest.
@@ -449,14 +451,27 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     if not rigs:
         return nominal
     begun = [fitted(_far_from_tip(coarse, rig), rig, noise, _BEGUN) for rig in rigs]
+    begun.sort(key=lambda fit: fit.cost)
+    best = begun[0].rig
     if problem.free[SHAPE]:
         free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
         coarse = replace(problem.rows(evenly(heavy, _SEARCHED)), free=free)
-        rigs = [replace(fit.rig, marched=True) for fit in begun]
-        rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
-        begun = [fitted(_far_from_tip(coarse, rig), rig, rough, _BEGUN) for rig in rigs]
-    best = min(begun, key=lambda fit: fit.cost).rig
+        return _with_shape(coarse, [fit.rig for fit in begun], noise)
     return fitted(_far_from_tip(coarse, best), best, noise).rig
+
+
+def _with_shape(problem: Problem, rigs: list[Rig], noise: Noise) -> Rig:
+    """The first of rigs with straight rods, the best ones first, from which a fit leads to a shape that noise explains, or
+    the one with the best fit."""
+    rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
+    found: list[Fit] = []
+    for rig in rigs[:_SHAPES]:
+        rig = replace(rig, marched=True)
+        begun = fitted(_far_from_tip(problem, rig), rig, rough, _BEGUN).rig
+        found.append(fitted(_far_from_tip(problem, begun), begun, noise, _BEGUN))
+        if found[-1].at_rest and found[-1].cost < found[-1].freedom + CHANCE * math.sqrt(2 * found[-1].freedom):
+            break
+    return min(found, key=lambda fit: fit.cost).rig
 
 
 def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
