@@ -72,7 +72,9 @@ def fewer(text: str) -> str:
     text = re.sub(r"\bsamples=\d\d", "samples=12", text.replace("icosphere(5", "icosphere(4"))
     text = text.replace("--dpi 600", "--dpi 100").replace("--samples 64", "--samples 24")
     text = text.replace("rate_hz = 100", "rate_hz = 40")
-    return re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
+    text = re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
+    text = re.sub(r"\bslices=(\d+)(?!.*samples)", r"slices=\1, samples=16", text)
+    return re.sub(r"^scan3d (scan|batch) (?!.*--samples|.*--config)", r"scan3d \1 --samples 16 ", text, flags=re.MULTILINE)
 
 
 @pytest.fixture
