@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d.bounds import enclosure
 from scan3d.bounds.cells import cells_of_cloud
-from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
@@ -64,17 +63,6 @@ def test_no_contact_and_tangent_allows_a_smaller_bound(seed):
     rod = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])[tangential]
     for step in (-0.05, -0.002, 0.002, 0.05):
         assert signed_distances(cloud.points[tangential] + step * size * rod, largest).min() > -2e-6 * size
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_the_cells_are_tighter_than_the_slabs_of_one_axis(seed):
-    _, cloud = scanned(seed)
-    slabs, bounds = slice_enclosure(cloud), enclosure(cloud)
-    assert found_in(cloud).gap.max() < slabs.bound
-    assert bounds.bound < slabs.bound
-    directions = np.concatenate([np.eye(3), -np.eye(3)])
-    assert (bounds.support(directions)[1] <= slabs.support(directions)[1]).all()
 
 
 @pytest.mark.slow

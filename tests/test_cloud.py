@@ -59,14 +59,6 @@ def test_noise_beyond_the_signal_raises_nothing(noise):
     assert np.isfinite(contacts(recording).points).all()
 
 
-def test_the_file_of_the_cloud_has_the_rows(recording, cloud, tmp_path):
-    path = tmp_path / "cloud.ply"
-    path.write_bytes(ply(cloud_table(cloud)))
-    vertices, _, _ = read_ply(path)
-    np.testing.assert_array_equal(vertices["row"], cloud.row)
-    np.testing.assert_allclose(np.hypot(*recording.force_N[vertices["row"]].T), vertices["force"], rtol=1e-12)
-
-
 def test_the_file_of_a_noisy_cloud_has_the_uncertainty_of_each_contact(tmp_path):
     plan = scan3d.Plan(slices=4, samples=16, sweeps=4)
     mesh = trimesh.creation.box((20, 30, 40))

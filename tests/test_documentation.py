@@ -74,7 +74,9 @@ def fewer(text: str) -> str:
     text = text.replace("rate_hz = 100", "rate_hz = 40")
     text = re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
     text = re.sub(r"\bslices=(\d+)(?!.*samples)", r"slices=\1, samples=16", text)
-    return re.sub(r"^scan3d (scan|batch) (?!.*--samples|.*--config)", r"scan3d \1 --samples 16 ", text, flags=re.MULTILINE)
+    return re.sub(
+        r"^scan3d (scan|batch) (?!.*--samples|.*--config)", r"scan3d \1 --samples 16 ", text, flags=re.MULTILINE
+    )
 
 
 @pytest.fixture

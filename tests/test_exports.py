@@ -110,20 +110,6 @@ def test_the_table_is_complete():
 # --- contents of the files ---
 
 
-def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
-    for shape in (cloud, surface):
-        export(folder, tmp_path / "a.ply", shape.what)
-        rows, faces, comments = read_ply(tmp_path / "a.ply")
-        assert rows.dtype.names == shape.rows.dtype.names
-        assert rows.tobytes() == shape.rows.tobytes()
-        assert (faces is None) if shape.faces is None else np.array_equal(faces, shape.faces)
-        assert comments[:2] == (f"scan3d {shape.what}", "unit mm")
-        assert comments[2].startswith("frame world coordinates")
-        # the exported file can itself be exported
-        export(tmp_path / "a.ply", tmp_path / "b.ply")
-        assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
-
-
 def test_an_stl_names_its_unit_and_faces_outwards(folder, tmp_path, surface):
     data = written(folder, tmp_path / "a.stl")
     assert len(data) == 84 + 50 * len(surface.faces)

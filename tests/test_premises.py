@@ -63,8 +63,14 @@ def test_a_right_recording_has_no_relative_error(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize(
+    ("wrong", "noise"),
+    [
+        pytest.param(wrong, noise, marks=() if (k + bool(noise)) % 2 else pytest.mark.trust)
+        for k, wrong in enumerate(WRONG)
+        for noise in (0.0, 1e-3)
+    ],
+)
 def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
     assert 1e-5 < relative_error(recorded(noise, **WRONG[wrong])) <= LARGEST
 
@@ -79,7 +85,12 @@ def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "noise"), [("curved", 1e-3), ("gain of mz", 1e-4), ("tapered", 0.0), ("clamp", 1e-3)]
+    ("wrong", "noise"),
+    [
+        ("curved", 1e-3),
+        ("tapered", 0.0),
+        *(pytest.param(*case, marks=pytest.mark.trust) for case in (("gain of mz", 1e-4), ("clamp", 1e-3))),
+    ],
 )
 def test_bounds_allow_for_the_relative_error(wrong, noise):
     """Without it, curvature of 0.5 % of 1/L makes the extents false, and the others take the certificate away."""

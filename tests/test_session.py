@@ -73,14 +73,6 @@ def test_a_session_in_space(egg):
     assert scan3d.compare(session.surface, egg).hausdorff < session.certificate.bound
 
 
-@pytest.mark.slow
-def test_the_table_closes_the_slices(batches):
-    session, _ = batches
-    assert np.isfinite(session.certificate.bound)
-    alone = scan3d.reconstruct(replace(session.recording, table_m=None))
-    assert not np.isfinite(scan3d.surfaces.enclosure(alone).bound)
-
-
 def test_recordings_with_their_own_numbers_are_numbered_anew(egg):
     session = Session("cylinder:60x60", slices=3, samples=20)
     first = recorded(egg, session.ask())

@@ -47,8 +47,8 @@ def holds(analysis, truth):
     [
         (trimesh.creation.box((20, 16, 12)), (0, 0, 1)),
         (random_body(0), (0.3, 0.5, 0.8)),
-        (random_body(2), (0.3, 0.5, 0.8)),
-        (ball(20.0), (0, 0, 1)),
+        pytest.param(random_body(2), (0.3, 0.5, 0.8), marks=pytest.mark.trust),
+        pytest.param(ball(20.0), (0, 0, 1), marks=pytest.mark.slow),
     ],
 )
 def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
