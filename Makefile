@@ -44,8 +44,7 @@ format: .venv/dev ## put the code into the project's format
 check: lint fast ## lint and fast: what to run before a commit
 
 trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
-	$(PYTEST) -m trust $(ARGS)
-	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
+	FUZZ=$(FUZZ) $(PYTEST) -m trust $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group strong --slices 13

@@ -1,6 +1,8 @@
 """Odd files and options: the commands answer in a sentence, with the right exit code, in time and without warnings."""
 
+import os
 import random
+import shutil
 
 import pytest
 
@@ -8,6 +10,8 @@ from tests.robustness import corpus, fuzz, runner
 
 # Every so many cases run in all tests: the cases are in groups of their subject, so that every group of twelve has one.
 _STEP = 12
+# Random inputs of `make trust`, and their seed.
+_RANDOM, _SEED = int(os.environ.get("FUZZ", 300)), os.environ.get("SEED", "test")
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +53,19 @@ def source(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.trust)])
-def test_random_changes_of_files_and_options(source, tmp_path, count):
+@pytest.mark.parametrize(
+    "numbers",
+    [range(30), *(pytest.param(range(k, k + 100), marks=pytest.mark.trust) for k in range(0, _RANDOM, 100))],
+    ids=str,
+)
+def test_random_changes_of_files_and_options(source, tmp_path, numbers):
     faults = []
-    for number in range(count):
+    for number in numbers:
         folder = tmp_path / str(number)
-        argv = fuzz.attempt(random.Random(f"test:{number}"), source, folder)
+        argv = fuzz.attempt(random.Random(f"{_SEED}:{number}"), source, folder)
         outcome = runner.run(argv, folder)
         if outcome.fault:
             faults.append((number, argv, outcome.fault, outcome.err, outcome.trace))
+        else:
+            shutil.rmtree(folder)
     assert faults == []

@@ -1,23 +1,14 @@
-"""Random changes of files and options over all commands: no traceback, no hang, no memory beyond 2 GB, no warning.
+"""Random changes of files and options over all commands: no traceback, no hang, no memory beyond 2 GB, no warning."""
 
-`python -m tests.robustness.fuzz --count 2000 --seed 0` prints every fault with its command and keeps its folder, and ends with
-1 if there was any.
-"""
-
-import argparse
-import collections
-import random
 import re
 import shutil
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
 from scan3d.geometry.hulls import hull
-from tests.robustness import corpus, rig_inputs, runner
+from tests.robustness import corpus, rig_inputs
 
 NUMBERS = ("0", "-1", "1", "2", "3", "1e-300", "1e300", "-1e300", "nan", "inf", "-inf", "1e-9", "0.5", "1e9", "4294967296",
            "-2147483649", corpus.HUGE, "", "x", "\x1b[31m", "\u202e", "0x10", "1_0", "true", "null", "[]", "{}")  # fmt: skip
@@ -219,43 +210,3 @@ def warm():
     import scan3d.simulation.scan
 
     return matplotlib, pyvista, scan3d
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    warm()
-    source = Path(tempfile.mkdtemp(prefix="fuzz-"))
-    prepare(source)
-    start, codes, faults, warned, slowest = time.monotonic(), collections.Counter(), [], collections.Counter(), 0.0
-    for number in range(arguments.count):
-        chance = random.Random(f"{arguments.seed}:{number}")
-        folder = Path(tempfile.mkdtemp(prefix=f"fuzz-{number}-"))
-        argv = attempt(chance, source, folder)
-        outcome = runner.run(argv, folder)
-        codes[outcome.code] += 1
-        slowest = max(slowest, outcome.seconds)
-        warned.update(text.split("\n")[0] for text in outcome.warnings)
-        if outcome.fault:
-            faults.append(number)
-            last = outcome.trace.strip().splitlines()[-7:]
-            sys.stdout.write(f"{outcome.fault}: {folder}: scan3d {' '.join(argv)[:200]!r} ({outcome.seconds:.1f} s)\n")
-            sys.stdout.write("".join(f"    {line[:200]}\n" for line in last) or f"    {outcome.err[:300]!r}\n")
-            sys.stdout.flush()
-        else:
-            shutil.rmtree(folder)
-    shutil.rmtree(source)
-    seconds = time.monotonic() - start
-    sys.stdout.write(
-        f"{arguments.count} inputs, {len(faults)} faults, exit codes {dict(codes)}, slowest {slowest:.1f} s, "
-        f"{seconds:.0f} s in all\n"
-    )
-    for text, count in warned.most_common():
-        sys.stdout.write(f"{count} warnings that reached no user: {text}\n")
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
