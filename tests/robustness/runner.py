@@ -47,7 +47,7 @@ class Outcome:
         said = re.sub(r"scan3d: [\d.]+ s: [\w ]+\n", "", self.err)  # without the progress of a slow machine
         if self.code and not (said.startswith("scan3d: ") and said.count("\n") == 1):
             return "no sentence"
-        if self.code and not self.err.isprintable() and not self.err[:-1].isprintable():
+        if self.code and not said[:-1].isprintable():
             return "control characters"
         return "warning on stderr" if self.code == 0 and "Warning" in self.err else ""
 
