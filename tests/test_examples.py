@@ -158,19 +158,19 @@ def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("own_measurements")
     # the conversion to the laboratory's table and back loses nothing: the recording is that of the simulation
-    script.laboratory(tmp_path / "table.csv", slices=8)
+    script.laboratory(tmp_path / "table.csv", slices=4)
     header, *rows = (tmp_path / "table.csv").read_text().splitlines()
     assert tuple(header.split(",")) == script.COLUMNS
     made = script.recording(tmp_path / "table.csv")
     assert len(made) == len(rows)
     mesh = script.scan3d.load_mesh(script.MESH)
-    plan = script.scan3d.Plan(slices=8, spacing="adaptive", friction=(0.1, 0.4), rod=script.ROD)
+    plan = script.scan3d.Plan(slices=4, spacing="adaptive", friction=(0.1, 0.4), rod=script.ROD)
     straight = script.scan3d.simulate(mesh, plan)
     for name in ("position_m", "force_N", "moment_Nm"):
         np.testing.assert_allclose(getattr(made, name), getattr(straight, name), rtol=0, atol=1e-15)
     np.testing.assert_allclose(made.axes(), straight.axes(), rtol=0, atol=1e-15)
 
-    monkeypatch.setattr(script.scanned, "__defaults__", (8,))
+    monkeypatch.setattr(script.scanned, "__defaults__", (4,))
     script.main(["--out", str(tmp_path / "own.png")])
     assert (tmp_path / "own.png").read_bytes().startswith(b"\x89PNG")
     certified, known = (
