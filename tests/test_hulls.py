@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from scan3d.arrays import highest
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import distance_from_hull, hull, hull_near
+from scan3d.geometry.hulls import distance_from_hull, hull, hull_about_mean, hull_near, support_of
 
 RNG = np.random.default_rng(11)
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
@@ -92,3 +93,32 @@ def test_distances_from_a_hull_are_those_of_the_nearest_points():
     assert (expected > 0).any()
     assert (expected == 0).any()
     assert distance_from_hull(points)(sought) == pytest.approx(expected, abs=1e-11)
+
+
+def many_coplanar(count):
+    return np.round(3 * RNG.standard_normal((count, 3)))
+
+
+def rings(count):
+    """Points of a cylinder, whose two caps have many corners."""
+    angle = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    return np.concatenate([np.add(ring, (0, 0, z)) for z in np.linspace(0, 2e-3, count // 50)])
+
+
+def nearly_equal(count):
+    points = RNG.standard_normal((count // 2, 3))
+    return np.concatenate([points, points + 1e-12 * RNG.standard_normal(points.shape)])
+
+
+@pytest.mark.parametrize(
+    "points",
+    [directions(500) * [1, 2, 0.1], many_coplanar(500), rings(500), nearly_equal(500)],
+    ids=["round", "coplanar", "rings", "nearly equal"],
+)
+def test_climbing_along_edges_finds_the_highest_of_all_points(points):
+    qhull = hull_about_mean(points)
+    # those of facets, at whose corners it is the same, as well
+    sought = np.concatenate([directions(500), qhull.equations[:, :3], np.eye(3), -np.eye(3), np.zeros((1, 3))])
+    found = support_of(qhull)(sought) + sought @ points.mean(axis=0)
+    assert found == pytest.approx(highest(points, sought), abs=1e-14 * np.abs(points).max())

@@ -44,6 +44,12 @@ def test_slices_moved_by_less_than_the_error_of_heights_leave_the_body_inside(er
         assert missing[0] < 1e-9 < missing[1]
 
 
+def test_volumes_of_slabs_are_those_of_the_hulls_of_their_corners(ball):
+    (stack,) = stacks(contacts(ball[1]))
+    parts = slabs(stack)
+    assert [part.volume for part in parts] == pytest.approx([hull(part.corners).volume for part in parts], rel=1e-9)
+
+
 def test_sides_of_a_slice_that_were_touched_at_different_heights_leave_the_body_inside():
     """Above the middle the body narrows in x, below it in y, and its sides are touched above and below the middle there."""
     steep, error = 1.0, 0.2

@@ -46,12 +46,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import QhullError
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, unit
 from scan3d.bounds.constraints import HalfSpaces, by_arcs, by_secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.polytopes import half_space_intersection
+from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import SliceStack
 
 MOST_CROSSINGS = 6_000
@@ -91,7 +91,7 @@ class Slab(NamedTuple):
     straight: Mask
     """(w, 2) whether the body goes on straight, below and above the slab, at all the corner's half-spaces from that side."""
     volume: float
-    """Infinite if nothing bounds the slab; NaN if it was not wanted."""
+    """Infinite if nothing bounds the slab."""
 
 
 SlabKey = tuple[float, ...]
@@ -141,15 +141,11 @@ def tighter_cells(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any, place
     return None if flood.gap_at(place) >= bound else flood.cells()
 
 
-def slabs(
-    stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None, *, volumes: bool = True
-) -> list[Slab]:
+def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None) -> list[Slab]:
     """The slabs of a stack from below; those in `known`, by key, are not computed again, and new ones are added to it.
 
     margin
         largest error of a contact's place, by which half-spaces are moved outwards.
-
-    Without `volumes` those of bounded slabs are NaN.
     """
     known = {} if known is None else known
     keys = slab_keys(stack)
@@ -159,7 +155,7 @@ def slabs(
     )
     for i, key in enumerate(keys):
         if key not in known:
-            known[key] = _slab(stack, arrangement, i, volumes=volumes)
+            known[key] = _slab(stack, arrangement, i)
     return [known[key] for key in keys]
 
 
@@ -170,7 +166,7 @@ def slab_keys(stack: SliceStack) -> list[SlabKey]:
     return [(*heights[i : i + 6], *contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
 
 
-def _slab(stack: SliceStack, arrangement: _Arrangement, i: int, *, volumes: bool) -> Slab:
+def _slab(stack: SliceStack, arrangement: _Arrangement, i: int) -> Slab:
     """The slab below slice i."""
     count = len(stack.slices)
     in_cap = i in (0, count)
@@ -190,13 +186,26 @@ def _slab(stack: SliceStack, arrangement: _Arrangement, i: int, *, volumes: bool
     on_end = (on_low & (i == 1)) | (on_high & (i + 1 == count))
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
     straight = _corners_are_straight(cell, one_sided=in_cap) & ~on_end[:, None]
-    if not volumes:
-        return Slab(cell.corners, kind, straight, np.nan)
-    # of the size of 1 along each axis, so that Qhull can handle thin slabs; one without a body in it has none but rounding
-    flat = cell.corners @ stack.frame.T
-    size = np.ptp(flat, axis=0)
-    found = hull_about_mean(flat / np.maximum(size, 1e-300))
-    return Slab(cell.corners, kind, straight, float(size.prod()) * (1.0 if found is None else float(found.volume)))
+    return Slab(cell.corners, kind, straight, _volume(cell))
+
+
+def _volume(cell: _Cell) -> float:
+    """Volume of a bounded cell: of the pyramids from the middle of its corners over its faces."""
+    plane = np.fromiter(chain.from_iterable(cell.meeting), dtype=np.intp)
+    corner, normals = np.repeat(np.arange(len(cell.meeting)), [*map(len, cell.meeting)]), unit(cell.planes[:, :3])
+    places = (cell.corners - cell.corners.mean(axis=0))[corner]
+    count = np.maximum(np.bincount(plane, minlength=len(normals)), 1)
+    middle = np.stack([np.bincount(plane, x, minlength=len(normals)) for x in places.T], axis=1) / count[:, None]
+    # around each face, its corners in their order
+    u, v = across(normals)
+    places -= middle[plane]
+    order = np.lexsort((np.arctan2(dot(places, v[plane]), dot(places, u[plane])), plane))
+    plane, places = plane[order], places[order]
+    following = np.arange(1, len(plane) + 1)
+    last = np.flatnonzero(np.diff(plane, append=-1))
+    following[last] = np.append(0, last[:-1] + 1)
+    twice = dot(np.cross(places, places[following]), normals[plane])
+    return max(float((twice * dot(middle, normals)[plane]).sum()) / 6, 0.0)
 
 
 def _corners_are_straight(cell: _Cell, *, one_sided: bool) -> Mask:

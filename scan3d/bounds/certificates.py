@@ -10,6 +10,8 @@ in the slices' planes: the way from x along u leaves the body inside the slab.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +21,7 @@ from scan3d.bounds.enclosures import Enclosure, SlabCorners, bounding_nothing
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull_about_mean
+from scan3d.geometry.hulls import hull_about_mean, support_of
 from scan3d.geometry.triangles import spanned
 
 
@@ -67,18 +69,22 @@ def _of_convex(bounds: Enclosure, surface: Any) -> tuple[float, Array]:
     vertices = surface.vertices.view(np.ndarray)
     outwards = np.maximum(bounds.sticking_out(vertices), 0.0)
     bound = np.inf
+    extreme, support = _extreme(bounds.corners)
     if bounds.closed and np.isfinite(bounds.gap).all():
-        farthest = float(nearest(_extreme(bounds.corners), surface)[0].max())
+        farthest = float(nearest(extreme, surface)[0].max())
         bound = max(float(outwards.max()), farthest + bounds.reach)
-    local = np.minimum(np.maximum(outwards, _depths(bounds, surface)), bound)
+    local = np.minimum(np.maximum(outwards, _depths(bounds, surface, support)), bound)
     if bounds.tighter is not None:
         other, other_local = _of_convex(bounds.tighter, surface)
         bound, local = min(bound, other), np.minimum(local, other_local)
     return bound, local
 
 
-def _depths(bounds: Enclosure, surface: Any) -> Array:
+def _depths(bounds: Enclosure, surface: Any, support: Callable[[Array], Array]) -> Array:
     """Upper bounds (v,) of the distances of a convex surface's vertices in the body from the body's surface.
+
+    support
+        the support function of the outer body's corners.
 
     Of the directions of the faces' normals at a vertex that with the largest bound counts, so that the bound is wide where the
     body may reach far beyond one of the faces.  Where a slab is unbounded, they are the vertices' normals, projected into the
@@ -96,7 +102,7 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
         size = np.linalg.norm(normals, axis=1)
         known = np.flatnonzero(size > 0)
         outward = normals[known] / size[known, None]
-        depth = highest(_extreme(bounds.corners), outward) - (outward * corner[known, 0]).sum(axis=1)
+        depth = support(outward) - (outward * corner[known, 0]).sum(axis=1)
         depths = np.full(len(vertices), -np.inf)
         np.maximum.at(depths, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
         depths[np.isneginf(depths)] = np.inf
@@ -110,10 +116,16 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
     return np.maximum(depths + bounds.reach, 0.0)
 
 
-def _extreme(points: Array) -> Array:
-    """Those of the points (n, 3) that are vertices of their hull; all where Qhull finds none."""
-    found = hull_about_mean(points)
-    return points if found is None else points[found.vertices]
+def _extreme(points: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Those of the points (n, 3) that are vertices of their hull, and its support function.
+
+    All where Qhull finds none, and where some are infinite.
+    """
+    found = hull_about_mean(points) if np.isfinite(points).all() else None
+    if found is None:
+        return points, partial(highest, points)
+    middle, support = points.mean(axis=0), support_of(found)
+    return points[found.vertices], lambda directions: support(directions) + directions @ middle
 
 
 def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: Array) -> Array:

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
-from scan3d.arrays import ROUNDING, Array, Index, Mask, highest, unit
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, unit
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
@@ -468,7 +468,7 @@ def _of_stack(
         gap=gap,
         bound=max(float(gap.max()), excess) + margin,
         margin=margin,
-        volume=(least, max(sum(part.volume for part in parts), least) * (1 + ROUNDING)),
+        volume=(least, max(sum(part.volume for part in parts), least) * (1 + NEGLIGIBLE)),
         confidence=confidence,
         excess=excess + margin,
         reach=margin,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, ranges, unit_or_zero
 from scan3d.errors import InputError
 from scan3d.geometry.convexity import outward_faces, outward_facets
 from scan3d.geometry.distance import locator, nearest
@@ -80,6 +80,36 @@ def hull_about_mean(points: Array) -> ConvexHull | None:
         return ConvexHull(points - points.mean(axis=0))
     except (QhullError, ValueError):
         return None
+
+
+def support_of(qhull: ConvexHull) -> Callable[[Array], Array]:
+    """The support function (d,) of Qhull's hull in directions (d, 3), to rounding, in a small part of the time of `highest`.
+
+    From a vertex of the facet with the nearest normal, edges lead up to the highest vertex.
+    """
+    points, facets = qhull.points[qhull.vertices], np.searchsorted(qhull.vertices, np.sort(qhull.simplices, axis=1))
+    sides = facets[:, [[0, 1], [0, 2], [1, 2]]].reshape(-1, 2)
+    links = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)
+    degree = np.bincount(links[:, 0], minlength=len(points))
+    first = np.cumsum(degree) - degree
+    facing = cKDTree(qhull.equations[:, :3])
+
+    def support(directions: Array) -> Array:
+        at = facets[facing.query(unit_or_zero(directions))[1], 0]
+        height = dot(directions, points[at])
+        rows = np.arange(len(at))
+        while len(rows):
+            which, place = ranges(degree[at[rows]])
+            beside = links[first[at[rows]][which] + place, 1]
+            heights = dot(directions[rows][which], points[beside])
+            best = np.maximum.reduceat(heights, np.flatnonzero(place == 0))
+            higher = best > height[rows]
+            up = np.flatnonzero((heights == best[which]) & higher[which])
+            at[rows[which[up]]], height[rows] = beside[up], np.maximum(best, height[rows])
+            rows = rows[higher]
+        return height
+
+    return support
 
 
 def hull_near(points: Array, faces: Index) -> Any:

@@ -88,7 +88,7 @@ class SlabMemory:
 
     def measured(self, stack: SliceStack, distances: Distances) -> tuple[list[Slab], Array]:
         """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances."""
-        parts, keys = slabs(stack, known=self.slabs, volumes=False), slab_keys(stack)
+        parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
         for key, slab in zip(keys, parts, strict=True):
             if key not in self.gaps:
                 bounded = np.isfinite(slab.corners).all()
