@@ -23,9 +23,10 @@ in a clamp that gives.
 """
 
 from planar.any_body import SweepStatus
-from planar.channels import Completed, complete, complete_by_moment, touched_at
+from planar.channels import Completed, complete
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
 from planar.crossings import passed
+from planar.following import complete_by_moment, touched_at
 from planar.hidden import (
     Recovered,
     constant_friction_angle,

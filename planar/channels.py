@@ -4,9 +4,6 @@ Three reactions determine three unknowns, force, direction and place.  Each chan
 ``β = ζ`` in tangential contact with known friction, ``s1 = 1`` at the tip, ``α - β = α̃`` where the contour's slope is known.
 Its root is sought over all values of the missing channel.  With known friction every row is either tangential, with
 ``s1 <= 1``, or at the tip, with ``β <= ζ``; where both or several roots exist, the channels do not determine the contact.
-
-The moment alone is enough along a sweep: tangential contacts with known friction have ``β = ζ`` and move along the tangent, two
-equations for each sample.  And for a single touch, by its change over a small push.
 """
 
 from __future__ import annotations
@@ -28,9 +25,6 @@ NAMES = ("f0x", "f0y", "m0z")
 _TRIED = np.sinh(np.linspace(0.05, 7.0, 71)) / 10
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8
-
-# Places along a rod between which that of a touch is interpolated, to 1e-9 rod lengths.
-_PLACES = 8193
 
 Residual = Callable[..., Array]
 
@@ -185,80 +179,3 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
             np.abs(result.f_x) < _ROOT, result.x, np.nan
         )
     return roots
-
-
-def complete_by_moment(
-    x0: ArrayLike, m0z: ArrayLike, start: float, *, friction: float = 0.0, direction: int = -1, rod: Rod | None = None
-) -> Reactions:
-    """The reactions of tangential contacts (n,) that follow one another in a sweep of which only the moment was measured.
-
-    The contact moves along the contour's tangent, in each step along the mean of the two: an error of the third order, which
-    sums up to one of the second.  `start` is the arc length s1 of the first contact; its error dies out along the sweep.  A
-    wrong coefficient of friction does not: 0.2 that is taken for 0 costs up to 0.03 rod lengths along the contour.
-    `direction` and `rod` are as in `planar.reconstruct`.  From the first sample on that has no such contact the forces are NaN.
-    Raises ValueError for a start outside of the rod, and for a coefficient that is negative.
-    """
-    from scipy.optimize import root  # imported late, so that `import planar` stays quick
-
-    if not (0 < start <= 1 and 0 <= friction < np.inf and direction in (-1, 1)):
-        raise ValueError(
-            "start must be an arc length in (0, 1], friction a number >= 0 and direction -1 or 1, got "
-            f"{start!r}, {friction!r}, {direction!r}"
-        )
-    moment = np.asarray(m0z, dtype=float)
-    base, _, _, moments = checked_reactions(x0, np.zeros_like(moment), np.zeros_like(moment), moment)
-    side, zeta, rod = -direction, np.arctan(friction), Rod() if rod is None else rod
-    rod = rod if side > 0 else rod.mirrored()
-    force = np.full((2, len(base)), np.nan)
-    before: Array | None = None
-    # of a rod that is hardly bent
-    first = side * moments[:1] / start
-    guess = np.concatenate([-first, (first * start) ** 2 / 2 - first * np.sin(zeta)])  # of a rod that is hardly bent
-    for i, (x, m) in enumerate(zip(side * base, side * moments, strict=True)):
-
-        def contact(force: Array, x: float = x, m: float = m) -> Array:
-            """s1, β, and place and tangent of the contact."""
-            with np.errstate(all="ignore"):
-                found = solve("closed-form", rod, force[:1], force[1:], np.array([m]))
-            slope = (found.alpha - found.beta)[0]
-            return np.array([found.s1[0], found.beta[0], x + found.x[0], found.y[0], np.cos(slope), np.sin(slope)])
-
-        def misfit(force: Array, before: Array | None = before, contact: Callable[[Array], Array] = contact) -> Array:
-            here = contact(force)
-            if before is None:
-                return np.asarray(here[:2] - [start, zeta])
-            way, tangent = here[2:4] - before[2:4], here[4:] + before[4:]
-            return np.array([way[0] * tangent[1] - way[1] * tangent[0], here[1] - zeta])
-
-        if i == 1:  # of the same contact
-            guess = force[:, 0] * m / (side * moments[0])
-        elif i:
-            guess = 2 * force[:, i - 1] - force[:, i - 2]
-        # differences over more than the march's error
-        found = root(misfit, guess, tol=_ROOT * _ROOT, options={"eps": 1e-10})
-        if not np.abs(misfit(found.x)).max() < _ROOT:
-            break
-        force[:, i], before = found.x, contact(found.x)
-    return Reactions(base, side * force[0], force[1], moments)
-
-
-def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
-    """Arc lengths s1 (n,) of single touches by the change of the moment m0z over a small push of the base along x.
-
-    `rate` (n,) is that quotient in ``EI/L²``, ``s1 / (∫ (s1 - s)²/B ds + c s1²)``, the integral from the clamp to s1, of a rod
-    that is hardly bent: ``3/s1²`` if it is uniform.  NaN where the contact would lie past the tip.  Noise σ of both moments is
-    one of ``√2 σ s1³ / (6 dx0)`` in the place on a uniform rod.  Raises ValueError for a rod that is curved or has weight.
-    """
-    rod = Rod() if rod is None else rod
-    if rod.curvature or rod.weight:
-        raise ValueError("a single touch is located along a straight rod without weight; sweep a rod with either")
-    ends = np.union1d(np.linspace(0.0, 1.0, _PLACES), rod.profile.knots)
-    nodes, weights = np.polynomial.legendre.leggauss(4)
-    half, s = np.diff(ends) / 2, ends[1:]
-    at = ends[:-1, None] + half[:, None] * (1 + nodes)
-    powers = at ** np.arange(3)[:, None, None] / rod.profile.bending_stiffness(at)
-    zeroth, first, second = np.cumsum(powers @ weights * half, axis=1)
-    bent = s * s * zeroth - 2 * s * first + second + rod.compliance * s * s
-    # the root is linear along a uniform rod
-    rates = np.abs(np.atleast_1d(np.asarray(rate, dtype=float)))
-    return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))

@@ -91,18 +91,15 @@ def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Arr
     """`jacobian` of any rod, by central differences of its contacts."""
     reactions = np.stack([across, along, moment])
     force = np.hypot(*(reactions[:2] + rod.pull))
-    columns = []
-    for k, change in enumerate(_DIFFERENCE * np.stack([force, force, np.abs(moment)])):
-        ends = []
-        for sign in (-1, 1):
-            moved = reactions.copy()
-            moved[k] += sign * change
-            with np.errstate(divide="ignore", invalid="ignore"):
-                found = solve("closed-form", rod, *moved)
-            ends.append(np.stack([found.x, found.y, found.s1, found.alpha, found.beta]))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            columns.append((ends[1] - ends[0]) / (2 * change))
-    return np.stack(columns, axis=2).transpose(1, 0, 2)
+    change = _DIFFERENCE * np.stack([force, force, np.abs(moment)])
+    moved = np.tile(reactions[:, None, None], (1, 2, 3, 1))  # of each reaction down and up
+    for k in range(3):
+        moved[k, :, k] += [-change[k], change[k]]
+    everywhere = rod.rows(np.tile(np.arange(len(moment)), 6))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = solve("closed-form", everywhere, *moved.reshape(3, -1))
+        values = np.stack([found.x, found.y, found.s1, found.alpha, found.beta]).reshape(5, 2, 3, -1)
+        return np.asarray((values[:, 1] - values[:, 0]) / (2 * change)).transpose(2, 0, 1)
 
 
 class Errors(NamedTuple):
@@ -132,6 +129,7 @@ def errors(
     known: str = "friction",
     known_sd: float = 0.0,
     tip: ArrayLike = False,
+    covariance: Array | None = None,
 ) -> Errors:
     """Errors of the contacts that `planar.reconstruct` finds for reactions (n,), by the noise of force and moment.
 
@@ -140,13 +138,20 @@ def errors(
     missing
         'f0x', 'f0y' or 'm0z' if it was not measured but completed by `planar.complete`, from what was `known`, 'friction' or
         'slope', with the standard deviation `known_sd` of that angle in radians; `tip` (n,) are the contacts at the tip.
+    covariance
+        (n, 3, 3) that of the reactions in each row, in the place of `noise`.
     direction, rod
         as in `jacobian`.
     """
-    if not max(*noise, known_sd):
+    if covariance is None and not max(*noise, known_sd):
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
-    spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) * [noise[0], noise[0], noise[1]]
+    spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod)
+    if covariance is None:
+        spread *= [noise[0], noise[0], noise[1]]
+    else:
+        sizes, vectors = np.linalg.eigh(np.nan_to_num(covariance))
+        spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])
     if missing is not None:
         spread = _completed(spread, missing, known, known_sd, np.broadcast_to(tip, len(spread)), direction)
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers

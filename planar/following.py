@@ -1,0 +1,241 @@
+"""Contacts by the moment alone, along sweeps: tangential contacts with known friction move along the surface.
+
+Such a contact has ``β = ζ``, and between two samples it moves across the mean of their normals: two equations for the two
+forces of each sample.  The second has an error of the third order in the step.  Both hold in a plane, and in space for a
+straight rod, which bends in the plane across its moment, if the contact is frictionless, so that the force has the direction
+of the normal.  The forces are those in the plane in which the rod bends, and `frames` is where that lies.
+
+The first contact must be known.  A small push tells it: shortly after touch-down the moment rises by ``dm0z/dx0 = 3/s1²`` on a
+uniform rod.  An error of it dies out as one over the moment.  At the tip the same equations do not determine the forces: the
+direction of a small force does not change the shape of the rod to the first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array, Index
+from planar.inverses import solve
+from planar.reactions import Reactions, checked_reactions
+from planar.rods import Rod
+from planar.uncertainty import jacobian
+
+# Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
+_ROOT, _STEPS = 1e-11, 20
+# Places along a rod between which that of a touch is interpolated, to 1e-9 rod lengths.
+_PLACES = 8193
+# The push at the begin of a sweep ends where the moment is this many times that of its first row.
+_PUSH = 3.0
+
+
+class Frames(NamedTuple):
+    """Where rods bend, in a plane or in space, k dimensions: rows (n,) of sweeps one after the other, in rod lengths."""
+
+    sweep: Index
+    """(n,) numbers of the sweeps."""
+    place: Array
+    """(n, k) the clamp."""
+    axes: Array
+    """(n, 2, k) the unit vectors against which the body pushes the rod, and along which the rod leaves the clamp."""
+    normal: Array
+    """(n, k) that across both; zero in a plane."""
+
+
+class Followed(NamedTuple):
+    """Contacts (n,) by their moments."""
+
+    force: Array
+    """(n, 2) support reactions along the two axes, f0x and f0y in EI/L²; NaN where there is no such contact."""
+    covariance: Array
+    """(n, 4, 4) of f0x, f0y, the moment, and the angle about the rod of the plane in which it bends."""
+
+
+def follow(
+    frames: Frames,
+    moment: Array,
+    start: Array,
+    *,
+    friction: float = 0.0,
+    rod: Rod | None = None,
+    noise: float = 0.0,
+    start_sd: ArrayLike = 0.0,
+    friction_angle_sd: float = 0.0,
+) -> Followed:
+    """The forces of tangential contacts (n,) that follow one another, by the moments (n,) that bend the rods, in ``EI/L``.
+
+    start, start_sd
+        arc length s1 of the first contact of each sweep (m,) and its standard deviation; NaN: the sweep is not followed.
+    noise
+        standard deviation of each component of the moment.
+    friction_angle_sd
+        that of the friction angle, one error of all rows; it is that of contacts in a plane.
+    """
+    rod, zeta, count = Rod() if rod is None else rod, np.arctan(friction), len(moment)
+    _, first, number = np.unique(frames.sweep, return_index=True, return_inverse=True)
+    rank = np.arange(count) - first[number]
+    begin, begin_sd = start[number], np.broadcast_to(start_sd, start.shape)[number]
+    force, covariance = np.full((count, 2), np.nan), np.full((count, 4, 4), np.nan)
+    common = np.zeros((count, 4))  # changes by the friction angle
+    for k in range(int(rank.max(initial=-1)) + 1):
+        rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
+        push = moment[rows] / begin[rows]  # of a rod that is hardly bent
+        guess = np.stack([-push, moment[rows] ** 2 / 2 - push * np.sin(zeta)], axis=1)
+        if k:
+            rows = rows[np.isfinite(force[rows - 1, 0])]
+            guess = force[rows - 1] * (moment[rows] / moment[rows - 1])[:, None]
+            if k > 1:
+                guess = 2 * force[rows - 1] - force[rows - 2]
+        if not len(rows):
+            break
+        last = _contact(frames, rows - 1, force[rows - 1], moment[rows - 1], rod) if k else None
+
+        def equations(tried: Array, rows: Index = rows, last: Pair | None = last) -> tuple[Array, Array, Array]:
+            """Residuals (n, 2), their derivatives by the numbers of a row (n, 2, 4), and by those of the row before."""
+            here, slopes = _contact(frames, rows, tried, moment[rows], rod)
+            rates = np.zeros((2, len(rows), 2, 4))
+            rates[0, :, 0] = slopes.beta
+            if last is None:
+                rates[0, :, 1] = slopes.s1
+                return np.stack([here.beta - zeta, here.s1 - begin[rows]], axis=1), rates[0], rates[1]
+            way, normal = here.point - last[0].point, here.normal + last[0].normal
+            for rate, sign, by in ((rates[0], 1, slopes), (rates[1], -1, last[1])):
+                rate[:, 1] = np.einsum("nk,nkj->nj", way, by.normal) + sign * np.einsum("nk,nkj->nj", normal, by.point)
+            return np.stack([here.beta - zeta, (way * normal).sum(axis=1)], axis=1), rates[0], rates[1]
+
+        here = _newton(equations, guess)
+        residual, by_here, by_before = equations(here)
+        s1 = _contact(frames, rows, here, moment[rows], rod)[0].s1
+        right = (np.abs(residual).max(axis=1) < 1e3 * _ROOT) & (s1 <= 1 + 1e-9)
+        rows, by_here, by_before = rows[right], by_here[right], by_before[right]
+        force[rows] = here[right]
+        inverse = -np.linalg.inv(by_here[:, :, :2])
+        own, told = np.zeros((len(rows), 4, 2)), np.zeros((len(rows), 4, 4))
+        own[:, :2], own[:, 2:] = inverse @ by_here[:, :, 2:], np.eye(2)
+        told[:, :2] = inverse @ by_before
+        spread = own * np.stack([np.full(len(rows), noise), noise / moment[rows]], axis=1)[:, None]
+        own_covariance = spread @ spread.transpose(0, 2, 1)
+        common[rows, :2] = -inverse[:, :, 0]
+        if k:
+            common[rows] += np.einsum("nij,nj->ni", told, common[rows - 1])
+            own_covariance += told @ covariance[rows - 1] @ told.transpose(0, 2, 1)
+        else:
+            by_start = -np.pad(inverse[:, :, 1], ((0, 0), (0, 2))) * begin_sd[rows, None]
+            own_covariance += by_start[:, :, None] * by_start[:, None, :]
+        covariance[rows] = own_covariance
+    covariance += friction_angle_sd**2 * common[:, :, None] * common[:, None, :]
+    return Followed(force, covariance)
+
+
+class _Contact(NamedTuple):
+    """Contacts (n,), or their derivatives by f0x, f0y, the moment and the angle of the plane, in a last axis."""
+
+    s1: Array
+    beta: Array
+    point: Array
+    normal: Array
+
+
+def _contact(frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod) -> tuple[_Contact, _Contact]:
+    """Contacts of rows (n,), and their derivatives."""
+    fx, fy = force.T
+    with np.errstate(all="ignore"):
+        found = solve("closed-form", rod, fx, fy, moment)
+        by_angle = np.pad(jacobian(fx, fy, moment, rod=rod), ((0, 0), (0, 0), (0, 1)))  # nothing but the place changes
+    by_x, by_y, by_s1, by_alpha, by_beta = by_angle.swapaxes(0, 1)
+    slope, by_slope = (found.alpha - found.beta)[:, None], (by_alpha - by_beta)[:, None, :]
+    (across, along), out = frames.axes[rows].swapaxes(0, 1), frames.normal[rows]
+    point = frames.place[rows] + found.x[:, None] * across + found.y[:, None] * along
+    by_point = across[:, :, None] * by_x[:, None] + along[:, :, None] * by_y[:, None]
+    normal = np.sin(slope) * across - np.cos(slope) * along
+    tangent = np.cos(slope) * across + np.sin(slope) * along
+    by_normal = tangent[:, :, None] * by_slope
+    # the plane turns about the rod
+    by_point[:, :, 3] += found.x[:, None] * out
+    by_normal[:, :, 3] += np.sin(slope) * out
+    return _Contact(found.s1, found.beta, point, normal), _Contact(by_s1, by_beta, by_point, by_normal)
+
+
+Pair = tuple[_Contact, _Contact]
+
+
+def _newton(equations: Callable[[Array], tuple[Array, Array, Array]], guess: Array) -> Array:
+    """Roots (n, 2) by Newton's method, whose steps are halved where they leave the rods or do not help."""
+    residual, rate, _ = equations(guess)
+    size = np.abs(residual).max(axis=1)
+    for _ in range(_STEPS):
+        if not (size > _ROOT).any():
+            break
+        with np.errstate(all="ignore"):
+            step = np.linalg.solve(
+                np.where(np.isfinite(rate[:, :, :2]), rate[:, :, :2], np.eye(2)), -residual[:, :, None]
+            )[:, :, 0]
+        part = np.ones(len(guess))
+        for _ in range(_STEPS):
+            tried = guess + part[:, None] * step
+            moved, by_moved, _ = equations(tried)
+            after = np.abs(moved).max(axis=1)
+            worse = ~(after < size) & (size > _ROOT)
+            if not worse.any():
+                break
+            part[worse] /= 2
+        better = after < size
+        if not better.any():
+            break
+        guess, residual = np.where(better[:, None], tried, guess), np.where(better[:, None], moved, residual)
+        rate, size = np.where(better[:, None, None], by_moved, rate), np.where(better, after, size)
+    return guess
+
+
+def complete_by_moment(
+    x0: ArrayLike, m0z: ArrayLike, start: float, *, friction: float = 0.0, direction: int = -1, rod: Rod | None = None
+) -> Reactions:
+    """The reactions of tangential contacts (n,) that follow one another in a sweep of which only the moment was measured.
+
+    `start` is the arc length s1 of the first contact; its error dies out along the sweep.  A wrong coefficient of friction
+    does not: 0.2 that is taken for 0 costs up to 0.03 rod lengths along the contour.  `direction` and `rod` are as in
+    `planar.reconstruct`.  From the first sample on that has no such contact the forces are NaN.
+    Raises ValueError for a start outside of the rod, and for a coefficient that is negative.
+    """
+    if not (0 < start <= 1 and 0 <= friction < np.inf and direction in (-1, 1)):
+        raise ValueError(
+            "start must be an arc length in (0, 1], friction a number >= 0 and direction -1 or 1, got "
+            f"{start!r}, {friction!r}, {direction!r}"
+        )
+    nothing = np.zeros_like(np.asarray(m0z, dtype=float))
+    base, _, _, moments = checked_reactions(x0, nothing, nothing, m0z)
+    count, side, rod = len(base), -direction, Rod() if rod is None else rod
+    frames = Frames(
+        np.zeros(count, dtype=np.intp),
+        np.column_stack([base, np.zeros(count)]),
+        np.broadcast_to(np.array([[side, 0.0], [0.0, 1.0]]), (count, 2, 2)),
+        np.zeros((count, 2)),
+    )
+    rod = rod if side > 0 else rod.mirrored()
+    force = follow(frames, side * moments, np.array([start]), friction=friction, rod=rod).force
+    return Reactions(base, side * force[:, 0], force[:, 1], moments)
+
+
+def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
+    """Arc lengths s1 (n,) of single touches by the change of the moment m0z over a small push of the base along x.
+
+    `rate` (n,) is that quotient in ``EI/L²``, ``s1 / (∫ (s1 - s)²/B ds + c s1²)``, the integral from the clamp to s1, of a rod
+    that is hardly bent: ``3/s1²`` if it is uniform.  NaN where the contact would lie past the tip.  Noise σ of both moments is
+    one of ``√2 σ s1³ / (6 dx0)`` in the place on a uniform rod.  Raises ValueError for a rod that is curved or has weight.
+    """
+    rod = Rod() if rod is None else rod
+    if rod.curvature or rod.weight:
+        raise ValueError("a single touch is located along a straight rod without weight; sweep a rod with either")
+    ends = np.union1d(np.linspace(0.0, 1.0, _PLACES), rod.profile.knots)
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    half, s = np.diff(ends) / 2, ends[1:]
+    at = ends[:-1, None] + half[:, None] * (1 + nodes)
+    powers = at ** np.arange(3)[:, None, None] / rod.profile.bending_stiffness(at)
+    zeroth, first, second = np.cumsum(powers @ weights * half, axis=1)
+    bent = s * s * zeroth - 2 * s * first + second + rod.compliance * s * s
+    # the root is linear along a uniform rod
+    rates = np.abs(np.atleast_1d(np.asarray(rate, dtype=float)))
+    return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))
