@@ -239,3 +239,23 @@ def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
     # the root is linear along a uniform rod
     rates = np.abs(np.atleast_1d(np.asarray(rate, dtype=float)))
     return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))
+
+
+def by_push(x0: Array, moment: Array, *, noise: float = 0.0, rod: Rod | None = None) -> tuple[float, float]:
+    """Arc length s1 of the first contact of a sweep in which the moment rises from the first row (n,) on, and its standard
+    deviation: by the rows up to that of three times the first moment, and by what a part of them would change.
+
+    NaN where the contact may be at the tip, and if there are less than two rows.  Raises ValueError as `touched_at`.
+    """
+    last = int(np.argmax(np.append(moment >= _PUSH * moment[0], True))) if len(moment) else 0
+    last = min(last, len(moment) - 1)
+    if last < 1:
+        return np.nan, np.nan
+    rows = np.array([last, (last + 1) // 2])
+    way = np.abs(x0[rows] - x0[0])
+    rate, error = (moment[rows] - moment[0]) / way, np.sqrt(2) * noise / way[0]
+    s1, part, near, far = touched_at(np.maximum([*rate, rate[0] + error, rate[0] - error], 0.0), rod=rod)
+    sd = float(np.hypot((far - near) / 2, s1 - part))
+    # the contact moves on during the push: a part of it tells where it began
+    start = float(2 * part - s1)
+    return (start, sd) if start > 0 and start + 3 * sd < 1 else (np.nan, np.nan)

@@ -5,6 +5,9 @@ import pytest
 
 import planar
 from planar.following import Frames, follow
+from scan3d.channels import Known
+from scan3d.errors import InputError
+from scan3d.laboratory.one_sweep import OneSweep, read_sweep, reconstruct_sweep
 from scan3d.spatial.following import by_two_moments
 from tests.spatial_sweeps import AXES, CENTRE, _state, sweep
 
@@ -90,3 +93,33 @@ def test_errors_by_the_moment_alone_are_those_of_drawn_noise(friction):
     off = place - planar.reconstruct(base, *exact.force.T, moment, tolerance=1e-3).point
     chi = np.einsum("dni,nij,dnj->dn", off, np.linalg.inv(stated.point), off) / 2
     assert 0.8 < chi.mean() < 1.2, chi.mean()
+
+
+@pytest.mark.parametrize(("direction", "friction"), [(-1, 0.0), (1, 0.3)])
+def test_tables_of_the_moment_alone_are_reconstructed(direction, friction, tmp_path):
+    body = planar.Ellipse((0.5, 0.3), (0.0, 0.75), 0.3)
+    swept = planar.sweep(body, friction, samples=80, direction=direction)
+    kept = np.isfinite(swept.m0z)
+    lines = [f"{x:.17g},{m:.17g}" for x, m in zip(swept.x0[kept], swept.m0z[kept], strict=True)]
+    path = tmp_path / "sweep.csv"
+    path.write_text("x0,m0z\n" + "\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="lacks f0x, f0y"):
+        read_sweep(path)
+    path.with_suffix(".toml").write_text(f"[known]\nfriction = {friction}\n")
+    found = reconstruct_sweep(read_sweep(path))
+    tangential = swept.phase[kept] == planar.Phase.TANGENTIAL
+    assert found.tangential.sum() > 0.8 * tangential.sum()
+    assert not found.touching[~tangential].any()
+    off = np.linalg.norm(found.contacts.point - swept.point[kept], axis=1)[found.touching]
+    assert off.max() < 0.03
+    assert np.median(off) < 2e-3
+    # with noise the errors are those that are stated, the error of the step among them
+    noise, chi = 1e-4, []
+    for seed in range(8):
+        m0z = swept.m0z[kept] + noise * np.random.default_rng(seed).standard_normal(kept.sum())
+        noisy = OneSweep(swept.x0[kept], None, None, m0z, None, noise, noise, Known(friction))
+        known = reconstruct_sweep(noisy)
+        rows = known.touching
+        off = (known.contacts.point - swept.point[kept])[rows]
+        chi.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(known.errors.point[rows]), off).mean() / 2)
+    assert 0.7 < np.mean(chi) < 1.3, np.mean(chi)

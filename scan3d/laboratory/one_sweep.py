@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array, Mask
+from planar.following import Frames, by_push, follow
+from scan3d.arrays import Array, Index, Mask
 from scan3d.channels import COLUMNS as REACTIONS
 from scan3d.channels import Known
 from scan3d.errors import InputError
@@ -41,7 +42,8 @@ class OneSweep:
     """Base positions and support reactions (n,) of one sweep, of which the frame is that of `planar`.
 
     They are in m, N and N·m if the rod is given, else in rod lengths, EI/L² and EI/L.  They are kept as they were recorded,
-    because their digits tell how they were rounded.  One of the reactions may be None, if something is `known` in its place.
+    because their digits tell how they were rounded.  One of the reactions, or both forces, may be None, if something is `known`
+    in their place: of both forces the friction, in a sweep that begins with a small push against the side of the rod.
     Raises InputError for a table without rows, and for a base that moves and ends where it began.
     """
 
@@ -206,7 +208,8 @@ def _columns(table: Table, known: Known | None) -> list[str | None]:
     missing = [name for name in columns if name not in names]
     if known is not None and not missing:
         raise InputError(f"{table.name}: its TOML file has [known], but the table has all of {', '.join(columns)}")
-    if missing and not (known is not None and len(missing) == 1 and missing[0] != columns[0]):
+    forces = missing == list(columns[1:3]) and known is not None and known.friction is not None
+    if missing and not forces and not (known is not None and len(missing) == 1 and missing[0] != columns[0]):
         separated = "; its columns must be separated by commas" if any(set(";\t") & set(name) for name in names) else ""
         instead = "; for one of the reactions friction or contact = 'tip' in [known] of its TOML file can stand"
         raise InputError(
@@ -251,12 +254,18 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         for column, unit in zip(columns, (in_force, in_force, in_moment), strict=True)
     ]
     x0, rod = sweep.x0 / in_length, sweep.rod.in_plane() if sweep.rod else planar.Rod()
-    stands_out = np.linalg.norm([column for column in measured[:2] if column is not None], axis=0)
+    alone = sweep.f0x is None and sweep.f0y is None
+    sizes = [column for column in (measured[2:] if alone else measured[:2]) if column is not None]
+    stands_out = np.linalg.norm(sizes, axis=0)
     felt = stands_out > FORCE_SIGMAS * max(force, moment)
     names = dict(zip(REACTIONS, measured, strict=True))
     reactions = {name: np.zeros(len(sweep)) if column is None else column for name, column in names.items()}
     assumed: dict[str, Any] = {}
-    for name in (name for name, column in names.items() if column is None and sweep.known is not None):
+    if alone and sweep.known is not None:
+        reactions["f0x"], reactions["f0y"], assumed["covariance"] = _by_moment(
+            x0, reactions["m0z"], np.flatnonzero(felt), sweep, moment, rod
+        )
+    for name in (name for name, column in names.items() if column is None and sweep.known is not None and not alone):
         instead = replace(sweep.known or Known(), channel=name)
         reactions[name] = instead.complete(reactions, np.flatnonzero(felt), sweep.direction, rod)
         assumed = instead.errors
@@ -280,7 +289,7 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
     if not touching.any():
         codes, counts = np.unique(found.status[~undetermined], return_counts=True)
-        reason = f"in {undetermined.sum()} of its {len(sweep)} rows two reactions leave several contacts open"
+        reason = f"in {undetermined.sum()} of its {len(sweep)} rows the reactions measured leave the contact open"
         if len(counts) and counts.max() > undetermined.sum():
             most = planar.Status(int(codes[counts.argmax()]))
             reason = f"of {counts.max()} of its {len(sweep)} rows, {most.sentence}"
@@ -296,6 +305,36 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         slope=_kept(errors.slope, tangential),
     )
     return SweepContacts(sweep, found, errors, (force, moment), undetermined)
+
+
+def _by_moment(
+    x0: Array, m0z: Array, rows: Index, sweep: OneSweep, noise: float, rod: planar.Rod
+) -> tuple[Array, Array, Array]:
+    """Forces (n,) of the rows of a sweep that touch, NaN where the moment leaves them open, and the covariances (n, 3, 3)."""
+    known, side, count = sweep.known or Known(), -sweep.direction, len(rows)
+    bent, moment = rod if side > 0 else rod.mirrored(), side * m0z[rows]
+    frames = Frames(
+        np.zeros(count, dtype=np.intp),
+        np.column_stack([x0[rows], np.zeros(count)]),
+        np.broadcast_to(np.array([[side, 0.0], [0.0, 1.0]]), (count, 2, 2)),
+        np.zeros((count, 2)),
+    )
+    try:
+        start, start_sd = by_push(x0[rows], moment, noise=noise, rod=bent)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    told: dict[str, Any] = {"friction": known.friction or 0.0, "friction_angle_sd": known.errors["known_sd"]}
+    found = follow(frames, moment, np.array([start]), noise=noise, start_sd=start_sd, rod=bent, **told)
+    # the error of the step, of the second order, is a third of what every second row alone would change
+    second = Frames(frames.sweep[::2], frames.place[::2], frames.axes[::2], frames.normal[::2])
+    coarse = follow(second, moment[::2], np.array([start]), rod=bent, **told).force
+    change = np.nan_to_num(found.force[::2] - coarse) / 3
+    change = np.stack([np.interp(np.arange(count), np.arange(count)[::2], column) for column in change.T], axis=1)
+    found.covariance[:, :2, :2] += change[:, :, None] * change[:, None, :]
+    forces, covariance = np.zeros((len(x0), 2)), np.zeros((len(x0), 3, 3))
+    mirror = np.array([side, 1.0, side])
+    forces[rows], covariance[rows] = found.force * mirror[:2], found.covariance[:, :3, :3] * np.outer(mirror, mirror)
+    return forces[:, 0], forces[:, 1], covariance
 
 
 def _kept(values: Array, rows: Mask) -> Array:
