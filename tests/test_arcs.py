@@ -9,6 +9,7 @@ from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedr
 
 from planar import Phase
 from scan3d.bounds.apexes import best_apexes, cover, thinned
+from scan3d.bounds.constraints import Tangents
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
 
@@ -69,6 +70,24 @@ def test_errors_of_places_and_tangents_widen_an_arc():
     # the true normal, turned until it is perpendicular to the measured tangent
     turned = cloud.normals - (cloud.normals * tangents).sum(axis=1)[:, None] * tangents
     assert np.nanmax(angle_beyond(turned[rows], found)) <= 0
+
+
+def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
+    rng, (count, half_width) = np.random.default_rng(5), (200, 0.05)
+    axis, side = rng.integers(0, 3, count), rng.choice([-1.0, 1.0], count)
+    normals = np.eye(3)[axis] * side[:, None]
+    points = rng.uniform(-1, 1, (count, 3))
+    points[np.arange(count), axis] = side
+    across = unit(np.cross(normals, rng.normal(size=normals.shape)))
+    # the true normals are at the ends of the arcs
+    off = half_width * rng.choice([-1.0, 1.0], (count, 1))
+    middle, along = np.cos(off) * normals + np.sin(off) * across, np.cos(off) * across - np.sin(off) * normals
+    arcs = Arcs(points, middle, along, np.full(count, half_width))
+    tangents = Tangents(arcs, np.arange(count), np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 0.5]))
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    left = ConvexHull(tangents.enclosing(tangents.to_world(1.2 * corners)))
+    assert (tangents.to_world(corners) @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
+    assert left.volume < 0.9 * 8 * 1.2**3
 
 
 # --- apexes ---
