@@ -109,7 +109,7 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
         by_rounding = f"; by rounding alone: {ask}" if data["only_rounding"] else ""
         place = f"{median}, median of the standard deviations; largest {largest}{by_rounding}"
     without = [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
-    left = [("undetermined", f"{data['undetermined']}: two reactions leave several contacts open")]
+    left = [("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open")]
     return [
         ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),

@@ -328,8 +328,12 @@ def _by_moment(
     # the error of the step, of the second order, is a third of what every second row alone would change
     second = Frames(frames.sweep[::2], frames.place[::2], frames.axes[::2], frames.normal[::2])
     coarse = follow(second, moment[::2], np.array([start]), rod=bent, **told).force
-    change = np.nan_to_num(found.force[::2] - coarse) / 3
-    change = np.stack([np.interp(np.arange(count), np.arange(count)[::2], column) for column in change.T], axis=1)
+    at = np.flatnonzero(np.isfinite(coarse[:, 0] + found.force[::2, 0]))
+    if len(at):  # past the last one its change is taken
+        columns = ((found.force[::2] - coarse)[at] / 3).T
+        change = np.stack([np.interp(np.arange(count), 2 * at, column) for column in columns], axis=1)
+    else:
+        change = np.zeros((count, 2))
     found.covariance[:, :2, :2] += change[:, :, None] * change[:, None, :]
     forces, covariance = np.zeros((len(x0), 2)), np.zeros((len(x0), 3, 3))
     mirror = np.array([side, 1.0, side])
