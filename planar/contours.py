@@ -368,7 +368,8 @@ class Contours(_Looped):
         for i in range(len(parts)):
             hidden = False
             for k in range(len(parts)):
-                if k != i:
+                apart = (outlines[i].low > outlines[k].high) | (outlines[k].low > outlines[i].high)
+                if k != i and not apart.any():
                     points = outlines[i].samples
                     inside = outlines[k].nearest(np.zeros(len(points), dtype=np.intp), points, 0.0).gap < 0
                     if inside.any() != inside.all():

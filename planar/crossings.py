@@ -94,10 +94,12 @@ def near(rods: Drawn, points: Array, within: float) -> Near:
     point, node = pairs["i"], pairs["j"]
     offset = np.take(points, point, axis=0) - np.take(rods.point, node, axis=0)
     cos, sin = np.take(rods.tangent, node, axis=0).T
-    ahead = offset[:, 0] * cos + offset[:, 1] * sin
-    likely = np.flatnonzero(np.abs(ahead) <= 2 * rods.reach[node])
-    point, node, ahead = point[likely], node[likely], ahead[likely]
-    left = (offset[:, 1] * cos - offset[:, 0] * sin)[likely]
+    ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
+    # what a rod turns by within its reach moves the foot's normal along, and the rod aside
+    turned = rods.reach * np.abs(rods.kappa) + rods.reach**2 * (np.abs(rods.change).max(axis=1) + np.abs(rods.second))
+    likely = np.abs(ahead) <= np.take(rods.reach + within * turned, node)
+    likely &= np.abs(left) <= np.take(within + rods.reach * turned, node)
+    point, node, ahead, left = (column[likely] for column in (point, node, ahead, left))
     kappa, second, reach, u = rods.kappa[node], rods.second[node], rods.reach[node], ahead
     square = kappa * kappa
     for _ in range(2):  # towards the foot, on the series of place and slope in u

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from planar import plots
 from planar.arrays import Array
-from planar.elastica import bend, partial_shape
+from planar.elastica import bend
+from planar.pieces import piece
 from planar.reactions import checked_reactions
 
 if TYPE_CHECKING:
@@ -50,15 +51,9 @@ def elastic_lines(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike,
         root_f = np.sqrt(f)
         alpha = np.arctan2(-side * fx, fy)
         q = side * moment / (2 * root_f)
-        shape = bend(alpha, q)
-        s1 = np.minimum(shape.length / root_f, 1.0)
-        x, y = partial_shape(alpha, q, shape.length - fraction * s1 * root_f)
-        x, y = (shape.x - x) / root_f, (shape.y - y) / root_f
-        k, complement = np.hypot(np.sin(alpha / 2), q), np.cos(alpha / 2) ** 2 - q * q
-        end = alpha - 2 * np.arctan2(k, np.sqrt(complement)) + np.pi / 2  # φ1 (12)
-    free = f == 0
-    x, y = np.where(free, 0.0, x), np.where(free, fraction, y)
-    s1, end = np.where(free, 1.0, s1), np.where(free, np.pi / 2, end)
-    curved = np.stack([base + side * x, y], axis=-1)
-    tip = curved[:, -1] + (1 - s1) * np.concatenate([side * np.cos(end), np.sin(end)], axis=1)
+        s1 = np.where(f > 0, np.minimum(bend(alpha, q).length / root_f, 1.0), 1.0)
+    shape = piece(-fx, -fy, np.full_like(f, np.pi / 2), -moment, fraction * s1)
+    curved = np.stack([base + shape.x, shape.y], axis=-1)
+    end = shape.phi[:, -1:]
+    tip = curved[:, -1] + (1 - s1) * np.concatenate([np.cos(end), np.sin(end)], axis=1)
     return ElasticLines(curved, np.stack([curved[:, -1], tip], axis=1))

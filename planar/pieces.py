@@ -14,15 +14,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ellipj
 
 from planar.arrays import Array
-from planar.elastica import integrals
 
 # Force, and inverse modulus, below which (C5) and (C4) lose more digits to cancellation than Gauss's rule has errors.
 _WEAK, _FAST = 1e-3, 0.02
 # Angle between rod and force up to which sine and angle agree to rounding: in (C3) ties and struts lose all digits of theirs.
 _IN_LINE = 5e-4
+# Modulus at which the means are one, and the least square of the complementary one.
+_SMALL, _SINGULAR = 1e-8, 1e-40
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -79,21 +79,43 @@ def _swing(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) 
     """(C3): extent along the force, θ and κ at the end of pieces with m <= 1."""
     m, root = energy / force, np.sqrt(force)
     k = np.sqrt(m)
-    start = np.arctan2(np.sin(theta0 / 2), kappa0 / (2 * root))
-    first, second = integrals(start, m)
-    sn, cn, dn, amplitude = ellipj(first + root * s, m)
-    along = 2 * (integrals(amplitude, m)[1] - second) / root - s
-    return along, 2 * np.arctan2(k * sn, dn), 2 * k * root * cn
+    amplitude, lost = _advanced(np.arctan2(np.sin(theta0 / 2), kappa0 / (2 * root)), m, root * s)
+    sn, cn = np.sin(amplitude), np.cos(amplitude)
+    theta = 2 * np.arctan2(k * sn, np.hypot(cn, np.sqrt(np.maximum(1 - m, 0.0)) * sn))
+    return s - 2 * lost / root, theta, 2 * k * root * cn
 
 
 def _turn(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) -> tuple[Array, Array, Array]:
     """(C4): the same of pieces with m > 1, whose curvature keeps its sign."""
     p, rate, sign = force / energy, np.sqrt(energy), np.sign(kappa0)
-    start = sign * theta0 / 2
-    first, second = integrals(start, p)
-    _, _, dn, amplitude = ellipj(first + rate * s, p)
-    along = s - 2 * (rate * s - integrals(amplitude, p)[1] + second) / (rate * p)
-    return along, 2 * sign * amplitude, 2 * sign * rate * dn
+    amplitude, lost = _advanced(sign * theta0 / 2, p, rate * s)
+    dn = np.hypot(np.cos(amplitude), np.sqrt(1 - p) * np.sin(amplitude))
+    return s - 2 * lost / (rate * p), 2 * sign * amplitude, 2 * sign * rate * dn
+
+
+def _advanced(start: Array, m: Array, by: Array) -> tuple[Array, Array]:
+    """The amplitude (n,) at F(start) + by, and by how much F grows more than E up to there, by arithmetic-geometric means.
+
+    The descending Landen transformation of F and E, and its inverse (Abramowitz and Stegun 17.6 and 16.4).
+    """
+    # rows of one piece follow one another
+    new = (np.diff(start, prepend=np.nan) != 0) | (np.diff(m, prepend=np.nan) != 0)
+    of, phi = np.cumsum(new) - 1, start[new]
+    a, c = np.ones_like(phi), np.sqrt(m[new])
+    b = np.sqrt(np.maximum(1 - m[new], _SINGULAR))
+    zeta, share, levels = np.zeros_like(phi), c * c / 2, list[tuple[Array, Array, Array]]()
+    while (c > _SMALL).any():
+        phi = phi + np.arctan(b / a * np.tan(phi)) + np.pi * np.round(phi / np.pi)
+        a, b, c = (a + b) / 2, np.sqrt(a * b), c * c / (2 * (a + b))
+        levels.append((a, b, c))
+        zeta += c * np.sin(phi)
+        share += 2.0 ** (len(levels) - 1) * c * c
+    phi, lost = phi[of] + 2.0 ** len(levels) * a[of] * by, share[of] * by + zeta[of]
+    for a, b, c in reversed(levels):
+        sine = np.sin(phi)
+        lost -= c[of] * sine
+        phi = (phi + np.arctan2((c / a)[of] * sine, np.hypot(np.cos(phi), (b / a)[of] * sine))) / 2
+    return phi, lost
 
 
 def _off_line(theta: Array) -> Array:
