@@ -80,6 +80,7 @@ def _data(found: Any) -> dict[str, Any]:
         "undetermined": int(found.undetermined.sum()),
         "without_contact": {planar.Status(c).sentence: int(n) for c, n in zip(codes, counts, strict=True)},
         "s1": [float(s1.min()), float(s1.max())],
+        "friction_assumed": sweep.known.friction if sweep.known else None,
         "friction_median": float(np.median(friction)) if len(friction) else None,
         "friction_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
     }
@@ -98,7 +99,9 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     def size(value: float, digits: int = 3) -> str:
         return length(value, unit, digits=digits) if unit == "mm" else f"{number(value, digits)} {unit}"
 
-    if data["friction_median"] is not None:
+    if data["friction_assumed"] is not None:
+        friction = f"{number(data['friction_assumed'])}, assumed: it stands in [known]"
+    elif data["friction_median"] is not None:
         low, high = map(number, data["friction_range"])
         friction = f"{number(data['friction_median'])}, median of {low} to {high}"
         if "friction_sd_median" in data:
