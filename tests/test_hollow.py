@@ -106,6 +106,15 @@ def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
     assert not result.cloud.convex
 
 
+def test_noisy_contacts_lie_as_far_from_a_body_that_is_not_convex_as_their_errors_say():
+    """Of lone contacts, whose errors may be infinite, none is a warning of the arithmetic."""
+    recording = scan3d.simulate(letter_l(), scan3d.Plan(slices=2, samples=64, noise=1e-3, friction=(0.0, 0.4)))
+    cloud = scan3d.reconstruct(recording)
+    off = np.abs(nearest(cloud.points, letter_l())[0]) / cloud.place_sd
+    assert len(cloud) > 500
+    assert (off > 5).mean() < 0.005
+
+
 @pytest.mark.slow
 def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
     """All contacts lie on the body then, and the rods of those that were recovered prove no free space."""

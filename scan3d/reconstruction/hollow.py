@@ -103,7 +103,7 @@ class _Rows:
     def alone(self) -> Mask:
         """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
         alone = np.zeros(len(self.touching), dtype=bool)
-        error = _DEVIATIONS * np.nan_to_num(self.errors.largest)
+        error = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf)
         step = np.median(np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps]))
         for plane, members in self._slices():
             rows = np.concatenate(members)
@@ -122,7 +122,7 @@ class _Rows:
         """
         asked = self.touching & ~refused
         single = asked | ~self.pressed
-        error = _DEVIATIONS * np.nan_to_num(self.errors.largest)
+        error = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf)
         found = np.zeros(len(asked), dtype=bool)
         for plane, members in self._slices():
             rows = np.concatenate(members)
