@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import planar
+from planar import pieces
 from planar.elastica import bend, carlson_integrals, partial_shape, tangential_q
 
 AGREES = 1e-12
@@ -208,3 +209,21 @@ def test_the_reference_is_the_integral_over_the_slope(alpha, q):
         assert abs(integral_of(mpmath.cos) - x) < 1e-20
         assert abs(integral_of(mpmath.sin) - y) < 1e-20
         assert abs(beta + end) < 1e-20
+
+
+def test_amplitudes_and_integrals_of_pieces():
+    """Where m is close to 1, the amplitude's own rounding changes F - E by that of F, and the amplitude alone is compared."""
+    draw = np.random.default_rng(4)
+    m = np.concatenate(
+        [draw.uniform(0, 1, 20), 1 - 10.0 ** draw.uniform(-15, -2, 20), 10.0 ** draw.uniform(-12, -2, 8)]
+    )
+    start, by = draw.uniform(-4, 4, len(m)), draw.uniform(0, 3, len(m))
+    with mpmath.workdps(40):
+        for s, way, parameter, found, lost in zip(start, by, m, *pieces._advanced(start, m, by), strict=True):
+            amplitude = mpmath.mpf(found)
+            rate = mpmath.sqrt(1 - parameter * mpmath.sin(amplitude) ** 2)
+            off = mpmath.ellipf(amplitude, parameter) - mpmath.ellipf(s, parameter) - way
+            assert abs(off * rate) < 1e-14
+            if parameter < 0.99:
+                second = mpmath.ellipe(amplitude, parameter) - mpmath.ellipe(s, parameter)
+                assert abs(way - second - lost) < 1e-13
