@@ -22,7 +22,7 @@ from planar.inverses import METHODS, solve
 from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
 from planar.sweeping import Phase
-from planar.tables import counted, selected_rows, table_html, to_frame, words
+from planar.tables import counted, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
@@ -136,13 +136,6 @@ class Contacts:
             "normal_source": words(self.normal_source, NormalSource),
         }
         return to_frame({**place, **plots.named(self, _COLUMNS, _COLUMNS), **codes})
-
-    def _repr_html_(self) -> str:
-        names, rows = ("s1", "force", "slope", "friction"), selected_rows(len(self))
-        point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
-        status = {"status": [Status(code).sentence for code in self.status[rows]]}
-        columns = {**point, **{name: getattr(self, name)[rows] for name in names}, **status}
-        return table_html("Contacts", self.phase, Phase, columns)
 
     @property
     def friction_angle(self) -> Array:

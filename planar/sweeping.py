@@ -27,7 +27,7 @@ from planar.paths import Path, check_height, polygon_paths
 from planar.reactions import Reactions
 from planar.rods import Rod
 from planar.segments import Segments
-from planar.tables import counted, selected_rows, table_html, to_frame, words
+from planar.tables import counted, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
@@ -133,13 +133,6 @@ class Sweep:
             np.arctan2(-self.f0x, self.f0y)[:, None],
         )
         return records
-
-    def _repr_html_(self) -> str:
-        rows = selected_rows(len(self))
-        point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
-        return table_html(
-            "Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in _COLUMNS}, **point}
-        )
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,9 +1,8 @@
-"""Scenes read from files, to be shown and compared: a scan's folder, a cloud, a surface, or a PLY of another program."""
+"""Scenes read from files, to be shown and compared: a scan's folder, a cloud, or a surface."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -11,13 +10,10 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-import planar
 from scan3d.errors import InputError
 from scan3d.files import whole
 from scan3d.files.meshes import FORMATS, read_mesh
-from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
 from scan3d.files.shapes import read_ply
 from scan3d.files.whole import REPORT, check_belongs, locate, sha256
@@ -27,13 +23,6 @@ from scan3d.units import UNITS_M
 
 DEMO = Path(__file__).with_name("egg.glb")
 """The body of the demonstration, that of ``meshes/egg.stl`` with fewer facets."""
-# Columns of a cloud that are used as numbers of something, with their smallest and their largest value.
-_INDICES = {
-    "phase": (int(planar.Phase.TIP), int(planar.Phase.TANGENTIAL)),
-    "slice": (0, 2**31 - 1),
-    "sweep": (-(2**31), 2**31 - 1),
-    "row": (0, 2**31 - 1),
-}
 _WANTED = f"expected a scan's folder, or a surface or mesh file (.{', .'.join(FORMATS)})"
 
 
@@ -111,15 +100,18 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
 
 
 def read_ply_scene(path: Path, unit: str) -> Scene | None:
-    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for other PLYs with faces.
+    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for the PLYs of other programs.
 
     Raises InputError for files that can't be read, and for points that are missing or not finite.
     """
     try:
         rows, faces, comments = read_ply(path)
     except InputError:
-        return _read_foreign(path, unit)
-    _check(path, rows)
+        return None
+    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
+        raise InputError(f"{path.name} has no points: expected the columns x, y and z")
+    if not len(rows) or not np.isfinite(columns(rows, "x", "y", "z")).all():
+        raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
     unit = unit_of(comments, unit)
     if faces is None:
         return Scene(path.stem, unit, contacts=rows)
@@ -131,52 +123,6 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     if "known" in (rows.dtype.names or ()):
         mesh.vertex_attributes["known"] = rows["known"]
     return Scene(path.stem, unit, surface=mesh, bound=bound if is_known else None)
-
-
-def _read_foreign(path: Path, unit: str) -> Scene | None:
-    """The points of another program's PLY; None if it has faces."""
-    try:
-        check_file(path)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of points that are not finite, judged below
-            shape = trimesh.load(path)
-    except InputError:
-        raise
-    # trimesh's parser raises various errors for foreign bytes
-    except Exception as error:
-        raise InputError(
-            f"can't read {path}: {type(error).__name__}, {error}; expected a PLY of points or triangles"
-        ) from None
-    if not isinstance(shape, trimesh.PointCloud):
-        return None
-    rows = np.empty(len(shape.vertices), dtype=[(name, "f8") for name in "xyz"])
-    for name, values in zip("xyz", np.asarray(shape.vertices).T, strict=True):
-        rows[name] = values
-    _check(path, rows)
-    return Scene(path.stem, unit, contacts=rows)
-
-
-def _check(path: Path, rows: NDArray[Any]) -> None:
-    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
-        raise InputError(f"{path.name} has no points: expected the columns x, y and z")
-    if not len(rows) or not np.isfinite(columns(rows, "x", "y", "z")).all():
-        raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
-    largest = float(np.abs(columns(rows, "x", "y", "z")).max())
-    # libraries that draw compute in float32, and squares must be numbers as well
-    if largest > 1e15:
-        raise InputError(
-            f"{path.name} has a coordinate of {largest:.3g}, which can't be drawn; expected those of a body"
-        )
-    # columns of kinds and of numbers are used as indices
-    for name, (low, high) in _INDICES.items():
-        if name in (rows.dtype.names or ()):
-            values = columns(rows, name)[:, 0]
-            bad = ~((values >= low) & (values <= high) & (values == np.round(values)))
-            if bad.any():
-                raise InputError(
-                    f"{path.name} has {values[np.argmax(bad)]:g} for {name} in row {np.argmax(bad) + 1}, where a whole number "
-                    f"from {low} to {high} is expected; was it edited?"
-                )
 
 
 def unit_of(comments: tuple[str, ...], default: str) -> str:

@@ -1,4 +1,4 @@
-"""Exported files: what other programs read of them, units, colours, and what is refused."""
+"""Exported files: what other programs read of them, units, and what is refused."""
 
 import functools
 import json
@@ -7,7 +7,6 @@ import shutil
 import struct
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import other_programs
 import pytest
@@ -186,56 +185,6 @@ def test_lengths_are_converted_and_nothing_else(gaps, tmp_path, what, unit, fact
     assert np.array_equal(after.normals, before.normals, equal_nan=True)
 
 
-# --- colours ---
-
-
-def colors_in(path):
-    """(n, 3) the colours in an exported file, by readers of the tests' own."""
-    data, ending = path.read_bytes(), path.suffix
-    if ending == ".ply":
-        rows = read_ply(path)[0]
-        return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
-    if ending == ".pcd":
-        head, _, body = data.partition(b"DATA binary\n")
-        fields = next(line.split()[1:] for line in head.decode().splitlines() if line.startswith("FIELDS"))
-        packed = np.frombuffer(body, "<u4").reshape(-1, len(fields))[:, fields.index("rgb")]
-        return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=1)
-    if ending == ".obj":
-        lines = [line[2:] for line in data.decode().splitlines() if line.startswith("v ")]
-        return np.round(255 * np.loadtxt(lines)[:, 3:])
-    return tree_of(path)[2]["COLOR_0"][:, :3]
-
-
-@pytest.mark.parametrize(
-    ("what", "scalar", "ending"),
-    [
-        ("cloud", "friction", ".ply"),
-        ("cloud", "friction", ".pcd"),
-        ("cloud", "force", ".glb"),
-        ("surface", "bound", ".obj"),
-    ],
-)
-def test_colours_are_those_of_the_scalar_beside_them(gaps, tmp_path, what, scalar, ending):
-    export(gaps, tmp_path / f"a{ending}", what, color=scalar)
-    shape = read_shape(gaps / f"{what}.ply")
-    values = shape.columns[scalar].astype(float)
-    if ending == ".glb":
-        values = values[np.isfinite(shape.normals).all(axis=1)]
-    known = np.isfinite(values)
-    # forces and lengths begin at zero, others at their smallest value
-    low = 0.0 if scalar in ("force", "bound") else values[known].min()
-    expected = np.full((len(values), 3), 154.0)
-    fraction = (values[known] - low) / (values[known].max() - low)
-    expected[known] = np.round(255 * matplotlib.colormaps["viridis"](fraction)[:, :3])
-    assert np.array_equal(colors_in(tmp_path / f"a{ending}"), expected)
-    if ending == ".ply":
-        rows, _, comments = read_ply(tmp_path / "a.ply")
-        assert np.array_equal(rows[scalar], shape.rows[scalar], equal_nan=True)
-        assert f"colour {scalar} from {low:.6g} to {values[known].max():.6g}, viridis" in comments
-        assert scalar in read_shape(tmp_path / "a.ply").columns
-        assert "red" not in read_shape(tmp_path / "a.ply").columns
-
-
 # --- GLB ---
 
 
@@ -301,8 +250,6 @@ def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
         ("cloud.ply", "a.xyzn", {}, r"4 of 162 points have no normal, which \.xyzn requires; leave them out"),
         (".", "empty.ply", {}, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
         (".", "a.glb", {"unit": "mm"}, r"\.glb is in metres by its specification, and can't be in mm; leave"),
-        (".", "a.stl", {"color": "bound"}, r"\.stl has no place for colours; choose \.ply, \.pcd"),
-        (".", "a.ply", {"color": "beauty"}, r"there is no 'beauty' to colour the surface by; it has bound"),
     ],
 )
 def test_mistakes(gaps, cloud, call, source, to, options, sentence):
@@ -329,11 +276,11 @@ def test_the_command_says_what_it_wrote_and_passes_its_options_on(gaps, capsys):
         assert stdout.startswith(said)
         assert stdout.endswith(f" in m, written to {gaps / 'a.glb'}\n")
         assert stderr == ""
-    call = ["export", str(gaps), "--to", str(gaps / "a.ply"), "--unit", "m", "--color", "bound"]
+    call = ["export", str(gaps), "--to", str(gaps / "a.ply"), "--unit", "m"]
     assert main([*call, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unit"] == "m"
     rows, _, comments = read_ply(gaps / "a.ply")
-    assert {"red", "bound"} <= set(rows.dtype.names)
+    assert "bound" in rows.dtype.names
     assert "unit m" in comments
     assert main([*call, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

@@ -311,7 +311,6 @@ def export(
     to: File,
     what: Export | None = None,
     unit: Unit | None = None,
-    color: Annotated[str | None, Parameter(metavar="SCALAR")] = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
@@ -324,7 +323,6 @@ def export(
       scan3d export out --to egg.glb
       scan3d export out --to egg.vtp --what cloud
       scan3d export out/cloud.ply --to egg.pcd --unit m
-      scan3d export out --to egg.ply --color bound
 
     Parameters
     ----------
@@ -336,12 +334,10 @@ def export(
         which, for .ply, .vtp and .glb (default: surface, unless DIR is a file with a cloud)
     unit
         unit of the lengths in the file, such as m for ROS (default: the recording's)
-    color
-        red, green and blue by a scalar, such as force or bound, which is written too
     """
     from scan3d.files.formats import export as export_shape
 
-    written = export_shape(source, to, what, unit=unit, color=color, overwrite=overwrite)
+    written = export_shape(source, to, what, unit=unit, overwrite=overwrite)
     shape = f"{written['points']} contacts"
     if written["what"] == "surface":
         shape = f"a surface of {written['points']} vertices and {written['faces']} faces"

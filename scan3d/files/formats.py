@@ -33,8 +33,8 @@ SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
 _ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
 # Formats whose coordinates are in float32, and the largest part of the diagonal to which it may round them.
 _SINGLE, _COARSE = (".stl", ".glb", ".pcd"), 1e-4
-# That in metres by its specification, and formats without a place for colours.
-_METRES, _COLORLESS = ".glb", (".stl", ".xyz", ".xyzn")
+# That in metres by its specification.
+_METRES = ".glb"
 
 # Formats in which each point has a normal, of .glb those of surfaces, and what to do otherwise.
 _WITH_NORMALS = {
@@ -50,7 +50,6 @@ def export(
     what: str | None = None,
     *,
     unit: str | None = None,
-    color: str | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
@@ -60,29 +59,23 @@ def export(
         default is the surface, unless `source` is a cloud.
     unit
         of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB is in metres.
-    color
-        the scalar by which points have red, green and blue; it is written as well.
 
     Returns what was written, as plain values.  Raises InputError for unknown endings and sources, for sources that cannot be
-    written in the format, for units, colours and names that it does not have, for missing normals that it needs, and if `to`
-    is part of a scan's folder, the source itself, or, unless `overwrite` is true, a file that can't be recognised as an
-    earlier export.
+    written in the format, for units that it does not have, for missing normals that it needs, and if `to` is part of a scan's
+    folder, the source itself, or, unless `overwrite` is true, a file that can't be recognised as an earlier export.
     """
     source, to = Path(source), Path(to)
     ending = to.suffix.lower()
     contents = _contents(ending, what)
     if ending == _METRES and unit not in (None, "m"):
         raise InputError(f"{ending} is in metres by its specification, and can't be in {unit}; leave the unit out")
-    if ending in _COLORLESS and color is not None:
-        raise InputError(f"{ending} has no place for colours; choose .ply, .pcd, .vtp, .csv, .obj or .glb")
     shape = _read(source, contents[0])
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{one_of(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
-    shape = shapes.colored(shapes.in_unit(shape, unit), color)
-    return write_shape(shape, to, {"source": source}, contents, overwrite=overwrite)
+    return write_shape(shapes.in_unit(shape, unit), to, {"source": source}, contents, overwrite=overwrite)
 
 
 def write_shape(
@@ -252,14 +245,12 @@ def _stl(shape: shapes.Shape) -> bytes:
 def _obj(shape: shapes.Shape) -> bytes:
     assert shape.faces is not None
     remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
-    # after the point, as most programs read it, from 0 to 1
-    colors = [] if shape.colors is None else list(np.round(shape.colors.T / 255, 4))
     corners = (map(str, column) for column in (shape.faces + 1).T)
     faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
     return b"".join(
         [
             remarks,
-            rows_as_text([*_columns(shape, shapes.POINT), *colors], " ", "v "),
+            rows_as_text(_columns(shape, shapes.POINT), " ", "v "),
             rows_as_text(_columns(shape, shapes.NORMAL), " ", "vn "),
             "".join(faces).encode(),
         ]
@@ -276,8 +267,6 @@ def to_polydata(shape: shapes.Shape) -> Any:
         data = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
     data.point_data["Normals"] = shape.normals
     data.point_data.active_normals_name = "Normals"
-    if shape.colors is not None:
-        data.point_data["RGB"] = shape.colors
     for name, column in shape.columns.items():
         data.point_data[name] = column
     data.set_active_scalars(None)
@@ -304,12 +293,9 @@ def _columns(shape: shapes.Shape, names: Sequence[str]) -> list[NDArray[Any]]:
 
 
 def packed_points(shape: shapes.Shape) -> NDArray[np.void]:
-    """The points (n,) as the Point Cloud Library packs them: float32, normals as normal_x …, colours as the bits of one rgb."""
+    """The points (n,) as the Point Cloud Library packs them: float32, normals as normal_x …."""
     columns: dict[str, NDArray[Any]] = {name: shape.rows[name].astype("<f4") for name in shapes.POINT}
     columns |= {f"normal_{name[1:]}": shape.rows[name].astype("<f4") for name in shapes.NORMAL}
-    if shape.colors is not None:
-        red, green, blue = shape.colors.astype("<u4").T
-        columns["rgb"] = (red << 16 | green << 8 | blue).view("<f4")
     columns |= shape.columns
     rows = np.empty(len(shape.rows), dtype=[(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     for name, column in columns.items():

@@ -1,7 +1,7 @@
 """Binary glTF 2.0 (GLB): in metres and with y up, as its specification says.
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.  Of the world's axes x stays, z becomes y, and y becomes -z.  The
-libraries that the program uses write neither the normals of points nor a named material beside colours of vertices, and read
+libraries that the program uses do not write the normals of points, and read
 sparse accessors, fans, normalized positions and required extensions wrongly without a message.
 """
 
@@ -44,9 +44,6 @@ def glb(shape: Shape) -> bytes:
     if (np.linalg.norm(shape.normals, axis=1) > 0).all():
         normals = y_up(shape.normals).astype(np.float64)
         attributes["NORMAL"] = buffers.add((normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype("<f4"))
-    if shape.colors is not None:
-        opaque = np.column_stack([shape.colors, np.full(len(position), 255, np.uint8)])
-        attributes["COLOR_0"] = buffers.add(opaque, normalized=True)
     for name, values in shape.columns.items():
         column = values.astype("<f4")  # glTF has neither NaN nor infinity
         if np.isfinite(column).all():
@@ -54,16 +51,13 @@ def glb(shape: Shape) -> bytes:
     primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": 0}  # points
     if shape.faces is not None:
         primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": _TRIANGLES}
-    # pale and matt, in the colours of its vertices where it has some
-    base = [1.0] * 4 if shape.colors is not None else [0.76, 0.80, 0.84, 1.0]
-    surface = {"baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    pale_and_matt = {"baseColorFactor": [0.76, 0.80, 0.84, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
     extras = {
         "unit": "m",
         "unit_of_recording": shape.unit,
         "metres_per_unit_of_recording": scale,
         "axes": _AXES,
         "frame": FRAME,
-        "notes": list(shape.notes),
     }
     tree = {
         "asset": {"version": "2.0", "generator": "scan3d", "extras": extras},
@@ -71,7 +65,7 @@ def glb(shape: Shape) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": shape.what, "mesh": 0}],
         "meshes": [{"name": shape.what, "primitives": [primitive]}],
-        "materials": [{"name": f"scan3d {shape.what}", "pbrMetallicRoughness": surface, "doubleSided": True}],
+        "materials": [{"name": f"scan3d {shape.what}", "pbrMetallicRoughness": pale_and_matt, "doubleSided": True}],
         "buffers": [{"byteLength": len(buffers.data)}],
         "bufferViews": buffers.views,
         "accessors": buffers.accessors,
@@ -100,9 +94,7 @@ class _Buffers:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(
-        self, values: NDArray[Any], *, indices: bool = False, bounds: bool = False, normalized: bool = False
-    ) -> int:
+    def add(self, values: NDArray[Any], *, indices: bool = False, bounds: bool = False) -> int:
         """The number of the accessor of values (n,) or (n, k), which are appended."""
         block = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(block)}
@@ -115,8 +107,6 @@ class _Buffers:
         }
         if bounds:
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        if normalized:
-            accessor["normalized"] = True
         self.accessors.append(accessor)
         self.data += block + b"\0" * (-len(block) % 4)
         return len(self.accessors) - 1
@@ -198,15 +188,6 @@ class _Content:
         """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles, of a strip or of a fan."""
         position = self._tree["accessors"][primitive["attributes"]["POSITION"]]
         stored = self._values(position)
-        if "min" in position and "max" in position and len(stored):
-            low, high = np.array(position["min"], dtype=float), np.array(position["max"], dtype=float)
-            off = np.abs([stored.min(axis=0) - low, stored.max(axis=0) - high]).max()
-            # some programs round the size
-            if off > 0.01 * np.linalg.norm(high - low):
-                raise InputError(
-                    f"its positions leave the box that it states for them by {off:.3g}: it is damaged, or its byteStride is "
-                    "wrong; export it again"
-                )
         points = stored.astype(float)
         if position.get("normalized"):
             points = np.maximum(points / np.iinfo(stored.dtype).max, -1.0)
@@ -237,14 +218,9 @@ class _Content:
         return values
 
     def _rows(self, at: Mapping[str, Any], kind: np.dtype[Any], width: int, count: int) -> NDArray[Any]:
-        """Rows (n, k) that lie in a view of a buffer.  Raises InputError if they overlap, and ValueError if they leave it."""
+        """Rows (n, k) that lie in a view of a buffer.  Raises ValueError if they leave it."""
         view, size = self._tree["bufferViews"][at["bufferView"]], width * kind.itemsize
         stride, offset = view.get("byteStride", size), at.get("byteOffset", 0)
-        if stride < size:
-            raise InputError(
-                f"its bufferView {at['bufferView']} has a byteStride of {stride}, where each element has {size} bytes; "
-                "export it again"
-            )
         start = view.get("byteOffset", 0)
         part = self._buffers[view["buffer"]][start : start + view["byteLength"]]
         return np.ndarray((count, width), kind, part, offset, (stride, kind.itemsize))

@@ -97,13 +97,11 @@ def _ply_count(lines: list[list[str]], name: str) -> int:
     """The number of an element; `lines` has its line of the header, or is empty."""
     if [line[:2] for line in lines] != [["element", name]] or len(lines[0]) != 3 or not lines[0][2].isdecimal():
         raise ValueError(f"expected 'element {name} COUNT', got {' '.join(lines[0]) if lines else 'nothing'!r}")
-    if len(lines[0][2]) > 18:  # no file has as many bytes
-        raise ValueError(f"it declares a number of {len(lines[0][2])} digits of {name} elements")
     return int(lines[0][2])
 
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
-POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 LENGTHS = ("quality", "bound", "place_sd")
 """Scalars that are lengths, in the unit of the file."""
 
@@ -117,13 +115,11 @@ class Shape(Exported):
     """
 
     rows: NDArray[Any]
-    """(n,) structured: x, y, z, nx, ny, nz, in exports with colours red, green, blue, then the other columns."""
+    """(n,) structured: x, y, z, nx, ny, nz, then the other columns."""
     faces: NDArray[np.int32] | None
     """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
     unit: str
     """Unit of all lengths."""
-    notes: tuple[str, ...] = ()
-    """What else stands in the comments of the file."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -143,22 +139,15 @@ class Shape(Exported):
         return np.stack([self.rows[name] for name in NORMAL], axis=1)
 
     @property
-    def colors(self) -> NDArray[np.uint8] | None:
-        """(n, 3) red, green and blue, None without colours."""
-        if not set(COLOR) <= set(self.rows.dtype.names or ()):
-            return None
-        return np.stack([self.rows[name] for name in COLOR], axis=1).astype(np.uint8)
-
-    @property
     def columns(self) -> dict[str, NDArray[Any]]:
         """(n,) each: the other columns by name, such as ``force`` and ``friction``."""
         names = self.rows.dtype.names or ()
-        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in POINT + NORMAL + COLOR}
+        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in POINT + NORMAL}
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Comments for the file: what it contains, its unit and its frame."""
-        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {FRAME}", *self.notes
+        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {FRAME}"
 
     def summary(self) -> Rows:
         """Counts, size and columns."""
@@ -263,30 +252,3 @@ def in_unit(shape: Shape, unit: str | None) -> Shape:
         if name in (rows.dtype.names or ()):
             rows[name] = rows[name] * (UNITS_M[shape.unit] / UNITS_M[unit])
     return replace(shape, rows=rows, unit=unit)
-
-
-def colored(shape: Shape, scalar: str | None) -> Shape:
-    """The shape with red, green and blue by one of its scalars, which stays beside them; None leaves it as it is.
-
-    The scale goes from the smallest to the largest value that is known, from 0 for lengths and forces; values that are not
-    known are grey.  Raises InputError for a scalar that the shape does not have, or of which no value is known.
-    """
-    if scalar is None:
-        return shape
-    if scalar not in shape.columns:
-        raise InputError(f"there is no {scalar!r} to colour the {shape.what} by; it has {', '.join(shape.columns)}")
-    values = shape.columns[scalar].astype(np.float64)
-    known = np.isfinite(values)
-    if not known.any():
-        raise InputError(f"no value of {scalar} is known, by which the {shape.what} is to be coloured; choose another")
-    from matplotlib import colormaps
-
-    low = 0.0 if scalar in (*LENGTHS, "force") else float(values[known].min())
-    high = float(values[known].max())
-    fraction = (values[known] - low) / ((high - low) or 1.0)
-    rgb = np.full((len(values), 3), 154, dtype=np.uint8)  # grey
-    rgb[known] = np.round(255 * np.asarray(colormaps["viridis"](fraction))[:, :3]).astype(np.uint8)
-    columns: dict[str, NDArray[np.generic]] = {name: shape.rows[name] for name in POINT + NORMAL}
-    columns |= dict(zip(COLOR, rgb.T, strict=True)) | shape.columns
-    note = f"colour {scalar} from {low:.6g} to {high:.6g}, viridis"
-    return replace(shape, rows=table(columns), notes=(*shape.notes, note))
