@@ -24,7 +24,7 @@ in a clamp that gives.
 
 from planar.any_body import SweepStatus
 from planar.channels import Completed, complete
-from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
+from planar.contours import Circle, Contour, Contours, Curve, Ellipse, Polygon
 from planar.crossings import passed
 from planar.following import complete_by_moment, touched_at
 from planar.hidden import (
@@ -48,7 +48,6 @@ from planar.uncertainty import Errors, errors, jacobian
 __all__ = [
     "TOLERANCE",
     "Circle",
-    "ClosedCurve",
     "Completed",
     "Contacts",
     "Contour",

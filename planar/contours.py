@@ -11,24 +11,18 @@ that are not convex, and several in one plane, are loops (`planar.loops`), which
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array
 from planar.loops import Loop, Outlines, crosses_itself, ellipse_loop, polygon_loop, spline_loop
 from planar.paths import Path, polygon_paths, smooth_path
 
-# Step in slope over which a curve's radius of curvature is differenced: truncation, which grows with the square of the step,
-# and rounding, which grows with its inverse, are alike.
-_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
-# Slopes at which a curve is checked for convexity, and from which the search for the nearest point of a contour starts.
-_SLOPES = 721
-# Steps of the iterations for a foot point: bisection halves the error in each, until it is rounding.
+# Steps of the iterations for a foot point, until its error is rounding.
 _FOOT_POINT_STEPS = 60
 # Pairs of points and edges whose distances are computed at once, which limits the memory.
 _PAIRS_AT_ONCE = 2_000_000
@@ -46,11 +40,9 @@ class Contour(ABC):
     def path(self) -> Path:
         """The part of a convex contour that the rod can reach, from its first touch onwards."""
 
+    @abstractmethod
     def loops(self) -> list[Loop]:
         """The whole contour as closed loops, body on the left."""
-        raise ValueError(
-            f"{type(self).__name__} has a lower side only; closed are Circle, Ellipse, Polygon and Curve.from_points"
-        )
 
     @abstractmethod
     def distance(self, points: ArrayLike) -> Array:
@@ -70,115 +62,6 @@ class SmoothContour(Contour):
 
     def path(self) -> Path:
         return smooth_path(self)
-
-    def distance(self, points: ArrayLike) -> Array:
-        """Distance (n,) of points (n, 2) to the contour's lower side, slopes from -π/2 to π/2."""
-        points = np.asarray(points, dtype=float)
-        slope = np.linspace(-np.pi / 2, np.pi / 2, _SLOPES)
-        nearest = slope[scipy.spatial.cKDTree(self.points(slope)).query(points)[1]]
-        spacing = np.pi / (_SLOPES - 1)
-        low, high = nearest - spacing, nearest + spacing
-        for _ in range(_FOOT_POINT_STEPS):  # the foot point, where the offset is normal to the contour, by bisection
-            middle = (low + high) / 2
-            offset = points - self.points(middle)
-            ahead = offset[:, 0] * np.cos(middle) + offset[:, 1] * np.sin(middle) > 0
-            low, high = np.where(ahead, middle, low), np.where(ahead, high, middle)
-        foot = self.points(np.clip(low, -np.pi / 2, np.pi / 2))
-        return np.asarray(np.linalg.norm(points - foot, axis=1))
-
-
-@dataclass(frozen=True)
-class Curve(SmoothContour):
-    """Any strictly convex contour, from callables of the slope angle (n,) in [-π/2, π/2], radians.
-
-    `place` gives its points (n, 2), `curvature_radius` its radius of curvature (n,), which must be positive; without it the
-    radius is differenced from the points.  `from_support` makes one from the support function.
-    """
-
-    place: Callable[[Array], Array]
-    curvature_radius: Callable[[Array], Array] | None = None
-
-    def __post_init__(self) -> None:
-        slope = np.linspace(-np.pi / 2, np.pi / 2, _SLOPES)
-        points, radius = np.asarray(self.points(slope)), self.radius_of_curvature(slope)
-        if points.shape != (len(slope), 2) or not np.isfinite(points).all():
-            raise ValueError(
-                f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}; of x and y over any "
-                "parameter make one by Curve.from_points(x(t), y(t))"
-            )
-        if not (radius > 0).all():
-            worst = int(np.argmin(radius))
-            raise ValueError(
-                f"the curve must be strictly convex: at the slope {np.degrees(slope[worst]):.4g}° its radius of curvature "
-                f"is {radius[worst]:.3g}"
-            )
-        chords = np.diff(points, axis=0)
-        lag = np.arctan2(chords[:, 1], chords[:, 0]) - (slope[:-1] + slope[1:]) / 2
-        if np.abs(lag).max() > np.pi / (_SLOPES - 1):
-            raise ValueError(
-                "the curve's points must be given by their slope angle: their chords have other directions"
-            )
-
-    @classmethod
-    def from_support(
-        cls,
-        support: Callable[[Array], Array],
-        derivative: Callable[[Array], Array],
-        second_derivative: Callable[[Array], Array] | None = None,
-    ) -> Curve:
-        """From the support function ``h(α̃) = max <n, p>`` in the direction of the normal ``n = (sin α̃, -cos α̃)``."""
-
-        def place(slope: Array) -> Array:
-            c, s, h, d = np.cos(slope), np.sin(slope), support(slope), derivative(slope)
-            return np.stack([h * s + d * c, -h * c + d * s], axis=-1)
-
-        if second_derivative is None:
-            return cls(place)
-        return cls(place, lambda slope: support(slope) + second_derivative(slope))
-
-    @staticmethod
-    def from_points(x: ArrayLike, y: ArrayLike) -> ClosedCurve:
-        """The smooth closed curve, convex or not, through points x, y (n,) in either order: a periodic cubic spline.
-
-        The points are those of one turn; the last is joined to the first.  Raises ValueError for curves that cross themselves.
-        """
-        points = [np.asarray(column, dtype=float) for column in (x, y)]
-        if points[0].ndim != 1 or points[0].shape != points[1].shape:
-            raise ValueError(f"a curve needs x and y of one shape (n,), got {points[0].shape} and {points[1].shape}")
-        return ClosedCurve(np.stack(points, axis=1))
-
-    def points(self, slope: ArrayLike) -> Array:
-        return np.asarray(self.place(np.asarray(slope, dtype=float)))
-
-    def radius_of_curvature(self, slope: ArrayLike) -> Array:
-        slope = np.asarray(slope, dtype=float)
-        if self.curvature_radius is not None:
-            return np.asarray(self.curvature_radius(slope))
-        # one-sided at the ends of the range of slopes
-        low, high = np.maximum(slope - _DIFFERENCE, -np.pi / 2), np.minimum(slope + _DIFFERENCE, np.pi / 2)
-        chord = self.points(high) - self.points(low)
-        middle = (low + high) / 2
-        return np.asarray((chord[..., 0] * np.cos(middle) + chord[..., 1] * np.sin(middle)) / (high - low))
-
-
-@dataclass(frozen=True)
-class Mirrored(SmoothContour):
-    """The mirror image of a smooth contour, x → -x: a sweep in +x along the one is a sweep in -x along the other."""
-
-    image: SmoothContour
-
-    def loops(self) -> list[Loop]:
-        across = np.array([-1.0, 1.0])
-        return [loop._replace(ellipse=loop.ellipse * [across, across, -across]) for loop in self.image.loops()]
-
-    def points(self, slope: ArrayLike) -> Array:
-        return np.asarray(self.image.points(-np.asarray(slope, dtype=float)) * np.array([-1.0, 1.0]))
-
-    def radius_of_curvature(self, slope: ArrayLike) -> Array:
-        return self.image.radius_of_curvature(-np.asarray(slope, dtype=float))
-
-    def distance(self, points: ArrayLike) -> Array:
-        return self.image.distance(np.asarray(points, dtype=float) * np.array([-1.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -325,8 +208,12 @@ class _Looped(Contour):
 
 
 @dataclass(frozen=True)
-class ClosedCurve(_Looped):
-    """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not; made by `Curve.from_points`."""
+class Curve(_Looped):
+    """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not: a periodic cubic spline.
+
+    The points are those of one turn, in either order; the last is joined to the first.  Raises ValueError for curves that cross
+    themselves.
+    """
 
     points: Array = field(repr=False)
 
@@ -342,6 +229,14 @@ class ClosedCurve(_Looped):
         object.__setattr__(self, "points", points)
         between = np.linspace(0, 1, 4 * len(points), endpoint=False)
         _check_crossing(self._outline.at(np.zeros(len(between), dtype=np.intp), between).point, "curve")
+
+    @classmethod
+    def from_points(cls, x: ArrayLike, y: ArrayLike) -> Curve:
+        """From the coordinates (n,) of the points."""
+        points = [np.asarray(column, dtype=float) for column in (x, y)]
+        if points[0].ndim != 1 or points[0].shape != points[1].shape:
+            raise ValueError(f"a curve needs x and y of one shape (n,), got {points[0].shape} and {points[1].shape}")
+        return cls(np.stack(points, axis=1))
 
     def loops(self) -> list[Loop]:
         return [spline_loop(self.points)]
@@ -388,13 +283,15 @@ def mirrored(contour: Contour) -> Contour:
     across = np.array([-1.0, 1.0])
     if isinstance(contour, Polygon):
         return Polygon(contour.vertices * across)
-    if isinstance(contour, ClosedCurve):
-        return ClosedCurve(contour.points * across)
+    if isinstance(contour, Curve):
+        return Curve(contour.points * across)
     if isinstance(contour, Contours):
         return Contours([mirrored(part) for part in contour.parts])
-    check_contour(contour)
-    assert isinstance(contour, SmoothContour)
-    return Mirrored(contour)
+    if isinstance(contour, Circle):
+        return Circle(contour.radius, (-contour.center[0], contour.center[1]))
+    if isinstance(contour, Ellipse):
+        return Ellipse(contour.semi_axes, (-contour.center[0], contour.center[1]), -contour.angle)
+    raise TypeError(f"the mirror image of a {type(contour).__name__} is not known")
 
 
 def check_contour(contour: object) -> None:

@@ -4,6 +4,33 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from planar.contours import SmoothContour
+
+
+class SupportCurve(SmoothContour):
+    """A strictly convex contour by its support function ``h = <n, p>`` of the slope and the first two derivatives."""
+
+    def __init__(self, *support):
+        self.support = support
+
+    def points(self, slope):
+        c, s, (h, d, _) = np.cos(slope), np.sin(slope), [part(np.asarray(slope)) for part in self.support]
+        return np.stack([h * s + d * c, -h * c + d * s], axis=-1)
+
+    def radius_of_curvature(self, slope):
+        return self.support[0](slope) + self.support[2](slope)
+
+    def loops(self):
+        raise NotImplementedError
+
+    def distance(self, points):
+        slopes = np.linspace(-np.pi / 2, np.pi / 2, 721)
+        foot = slopes[np.linalg.norm(points[:, None] - self.points(slopes), axis=2).argmin(axis=1)]
+        for _ in range(9):  # Newton's steps for the foot points of places next to the curve
+            along = ((points - self.points(foot)) * np.stack([np.cos(foot), np.sin(foot)], axis=1)).sum(axis=1)
+            foot = np.clip(foot + along / self.radius_of_curvature(foot), -np.pi / 2, np.pi / 2)
+        return np.linalg.norm(points - self.points(foot), axis=1)
+
 
 def as_mesh(vertices, faces):
     return trimesh.Trimesh(vertices, faces, process=False)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapes import SupportCurve
 
 import planar
 from planar import Phase, equilibria
@@ -197,9 +198,7 @@ def test_a_circle_by_other_classes(radius, gap, friction):
 
     for other in (
         planar.Ellipse((radius, radius), center, 0.7),
-        planar.Curve.from_support(support, derivative, second_derivative),
-        planar.Curve.from_support(support, derivative),
-        planar.Curve(circle.points),
+        SupportCurve(support, derivative, second_derivative),
     ):
         assert_same(planar.sweep(other, friction, base=base), swept)
 

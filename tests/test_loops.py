@@ -79,12 +79,6 @@ def test_contours_inside_others_are_out_of_reach():
     [
         (lambda: planar.Contours([]), "at least one"),
         (lambda: planar.Contours([planar.Circle(0.3, (0, 0.8)), planar.Circle(0.3, (0.1, 0.8))]), "must not overlap"),
-        (
-            lambda: planar.Contours(
-                [planar.Curve.from_support(lambda a: 0.5 - 0.9 * np.cos(a), lambda a: 0.9 * np.sin(a))]
-            ),
-            "lower side only",
-        ),
         (lambda: planar.Curve.from_points([0, 1], [0, 1]), r"points of shape \(n >= 3, 2\)"),
         (lambda: planar.Curve.from_points([0, 1, np.nan], [0, 1, 2]), "finite points, got 1"),
         (lambda: planar.Curve.from_points([0, 1, 1, 1], [0, 0, 0, 1]), "differ from their neighbours"),

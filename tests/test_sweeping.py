@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import shooting
+from shapes import SupportCurve
 
 import planar
 from planar import EventKind, Phase, Status, equilibria
@@ -18,8 +19,10 @@ CONTOURS = {
     "low circle": planar.Circle(0.4, (0.2, 0.5)),
     "ellipse": planar.Ellipse((0.7, 0.4), (0.1, 1.0), np.radians(20)),
     "needle": planar.Ellipse((0.6, 0.03), (0.0, 0.8), np.radians(50)),
-    "curve": planar.Curve.from_support(
-        lambda t: 0.5 + 0.05 * np.cos(3 * t) - 0.8 * np.cos(t), lambda t: -0.15 * np.sin(3 * t) + 0.8 * np.sin(t)
+    "curve": SupportCurve(
+        lambda t: 0.5 + 0.05 * np.cos(3 * t) - 0.8 * np.cos(t),
+        lambda t: -0.15 * np.sin(3 * t) + 0.8 * np.sin(t),
+        lambda t: -0.45 * np.cos(3 * t) + 0.8 * np.cos(t),
     ),
     "square": SQUARE,
     "triangle pointing down": planar.Polygon(np.array([[0.1, 0.4], [0.5, 1.4], [-0.6, 1.2]])),
