@@ -10,7 +10,6 @@ import html
 import io
 import itertools
 import logging
-import math
 import os
 import re
 import threading
@@ -48,8 +47,6 @@ COLUMNS = (
     *("coverage", "warnings", "seconds"),
 )
 """The columns of the summary."""
-# Largest number of combinations of a grid: more would take weeks, and come of a mistake.
-_MOST_COMBINATIONS = 100_000
 # Characters of the name of a run; what is longer ends with a hash, because Windows allows paths of 260 characters.
 _LONGEST_NAME = 100
 # Seconds for which a scheduler is looked for, and for which results of other machines are awaited in a shared folder: network
@@ -376,37 +373,19 @@ def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
     """The combinations of lists of values by setting.
 
     Of ``{"friction": [0.0, 0.3], "noise": [0.0, 1e-4]}`` they are four; a value that is no list is that of all combinations.  A
-    value that is a table is a grid of its own, which also has the values outside the tables: several tables make one
-    combination after the other.  A vector for ``axis`` or a pair for ``friction`` is a list in the list of values.
+    vector for ``axis`` or a pair for ``friction`` is a list in the list of values.
 
-    `source` is the name of the grid in messages.  Raises InputError for empty lists, tables in tables, a setting that is both
-    in a table and outside, a grid without settings, and more than 100 000 combinations.
+    `source` is the name of the grid in messages.  Raises InputError for empty lists and a grid without settings.
     """
-    common = {name: value for name, value in data.items() if not isinstance(value, Mapping)}
-    tables = {name: value for name, value in data.items() if isinstance(value, Mapping)}
-    found: Grid = []
-    for name, table in (tables or {"": {}}).items():
-        nested = [key for key, value in table.items() if isinstance(value, Mapping)]
-        if nested:
-            raise InputError(f"{source}: [{name}.{nested[0]}] is a table in a table; expected lists of values")
-        twice = sorted(common.keys() & table.keys())
-        if twice:
-            raise InputError(f"{source}: {twice[0]} stands in [{name}] and outside; leave one of them out")
-        values = {
-            key: list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
-            for key, value in {**common, **table}.items()
-        }
-        if empty := next((key for key, value in values.items() if not value), ""):
-            raise InputError(f"{source}: the list of values for {empty} is empty; leave {empty} out, or give a value")
-        if not values:
-            raise InputError(f"{source} has no settings; expected lists of values, such as friction = [0.0, 0.3]")
-        number = len(found) + math.prod(map(len, values.values()))
-        if number > _MOST_COMBINATIONS:
-            raise InputError(
-                f"{source} has {number} combinations, where {_MOST_COMBINATIONS} are allowed; leave values out"
-            )
-        found += [dict(zip(values, choice, strict=True)) for choice in itertools.product(*values.values())]
-    return found
+    values = {
+        key: list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+        for key, value in data.items()
+    }
+    if empty := next((key for key, value in values.items() if not value), ""):
+        raise InputError(f"{source}: the list of values for {empty} is empty; leave {empty} out, or give a value")
+    if not values:
+        raise InputError(f"{source} has no settings; expected lists of values, such as friction = [0.0, 0.3]")
+    return [dict(zip(values, choice, strict=True)) for choice in itertools.product(*values.values())]
 
 
 def body_names(paths: Sequence[Path]) -> list[str]:

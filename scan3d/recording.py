@@ -183,8 +183,6 @@ class Recording(Shown):
             )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
-        if self.gravity is not None and not isinstance(self.gravity, Gravity):
-            raise InputError(f"recording: gravity must be a scan3d.Gravity, got {type(self.gravity).__name__}")
         if self.rod.weight_N and self.gravity is None:
             raise InputError(
                 "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is tared"
@@ -194,8 +192,6 @@ class Recording(Shown):
                 "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; measure "
                 "all of fx, fy and mz"
             )
-        if self.rig is not None and not isinstance(self.rig, RigUncertainty):
-            raise InputError(f"recording: rig must be a scan3d.rigs.RigUncertainty, got {type(self.rig).__name__}")
 
     def __len__(self) -> int:
         return len(self.sweep)

@@ -167,12 +167,6 @@ def test_a_grid_is_the_product_of_its_lists(tmp_path):
     assert read_grid(grid) == [
         {"slices": 8, "friction": friction, "axis": axis} for friction in (0.0, "0.1:0.4") for axis in ("x", [1, 1, 0])
     ]
-    # several tables one after the other, with the values outside
-    grid.write_text('noise = [0.0, 1e-4]\n[plane]\nslices = [8, 16]\n[space]\nmodel = "spatial"\n')
-    assert read_grid(grid) == [
-        *({"noise": noise, "slices": slices} for noise in (0.0, 1e-4) for slices in (8, 16)),
-        *({"noise": noise, "model": "spatial"} for noise in (0.0, 1e-4)),
-    ]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +174,6 @@ def test_a_grid_is_the_product_of_its_lists(tmp_path):
     [
         (None, r"can't read the grid .*grid\.toml: No such file"),
         ("", r"grid\.toml has no settings; expected lists of values"),
-        ("slices = [1]\n[a]\nslices = [2]", r"grid\.toml: slices stands in \[a\] and outside"),
         ("slices = ['many']", r"grid\.toml: slices must be a whole number, got 'many'"),
         ("slices = [8, 0]", r"grid\.toml, slices = 0: slices must be a whole number of at least 1"),
     ],

@@ -105,7 +105,9 @@ def test_what_a_session_refuses(egg):
 def test_a_bounding_body_of_contacts(egg, batches):
     session, _ = batches
     body = around_contacts(session.recording, "planar")
-    assert body.contains(session.cloud.points).all()
+    x, y, z = session.cloud.points.T
+    assert np.hypot(x, y).max() <= body.width / 2
+    assert 0 <= z.min() <= z.max() <= body.height
     assert body.sizes[0] == pytest.approx(1.1 * 42.3, rel=0.03)
     with pytest.raises(InputError, match=r"contacts lie down to z = .* stands on z = 0"):
         around_contacts(scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4)), "planar")

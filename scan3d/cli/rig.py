@@ -43,8 +43,6 @@ class Limits:
         largest contact force in N, by which the clamp keeps farther away
     floor
         height above which clamp and straight rod stay (default: 2 % of the bounding body's height)
-    workspace
-        where the clamp may go, written as the bounding body
     speed
         of the clamp, per second
     """
@@ -53,19 +51,15 @@ class Limits:
     clearance: float = 0.3
     max_force: float | None = None
     floor: float | None = None
-    workspace: Body | None = None
     speed: float = 20.0
 
     def of_plan(self) -> dict[str, Any]:
         """As `RigPlan` takes them."""
-        from scan3d.planning.rig import parse_envelope
-
         return {
             "samples": self.samples,
             "clearance": self.clearance,
             "max_force_N": self.max_force,
             "floor": self.floor,
-            "workspace": parse_envelope(self.workspace) if self.workspace else None,
             "speed": self.speed,
         }
 
@@ -88,7 +82,7 @@ def plan(
     For example:
       scan3d plan --around cylinder:80x120 --out poses.csv
       scan3d plan --around box:60x40x30 --out poses.csv --model spatial --rod steel:0.3x70 --max-force 0.5
-      scan3d plan --around sphere:50 --out poses.csv --workspace box:400x400x300 --speed 10
+      scan3d plan --around sphere:50 --out poses.csv --speed 10
 
     Parameters
     ----------
@@ -105,7 +99,7 @@ def plan(
     rod
         MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits
     unit
-        unit of the bounding body, of floor, workspace and speed
+        unit of the bounding body, of floor and speed
     """
     from scan3d.files.poses import check_poses, write_poses
     from scan3d.files.reading import rod_section
@@ -237,7 +231,6 @@ def simulate_rig(
     options: Options,
     poses_file: Path,
     faults_file: Path | None,
-    as_is: bool,
     placed: Path | None,
     overwrite: bool,
     output: Output,
@@ -269,8 +262,7 @@ def simulate_rig(
     faults = read_faults(faults_file) if faults_file else None
     if faults is not None and "seed" in options.given():
         faults = dataclasses.replace(faults, seed=plan.seed)
-    body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit)
-    body = body if as_is else rig.standing(body)
+    body = rig.standing(load_mesh(mesh, hull=chosen.hull, unit=plan.unit))
     log = rig.simulate_rig(
         body,
         poses,

@@ -92,7 +92,6 @@ def simulate(
     options: Options = Options(),
     poses: Annotated[File | None, RIG_OPTIONS] = None,
     faults: Annotated[File | None, RIG_OPTIONS] = None,
-    as_is: Annotated[Flag, RIG_OPTIONS] = False,
     placed: Annotated[File | None, RIG_OPTIONS] = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
@@ -114,8 +113,6 @@ def simulate(
         the poses, a .csv as scan3d plan writes it
     faults
         what the rig does to the log: a .toml; a map for import is written
-    as_is
-        leave the body where its mesh has it (default: it stands on z = 0)
     placed
         write the mesh where it stands in the world, a .ply
     """
@@ -128,7 +125,7 @@ def simulate(
     from scan3d.simulation.scan import simulate as simulate_scan
 
     if poses is None:
-        for name, given in (("faults", faults), ("placed", placed), ("as-is", as_is)):
+        for name, given in (("faults", faults), ("placed", placed)):
             if given:
                 raise UsageError(f"--{name} is for a rig: give --poses FILE as well")
     else:
@@ -137,7 +134,7 @@ def simulate(
     if options.print_config:
         return print_settings(dataclasses.asdict(chosen))
     if poses is not None:
-        return simulate_rig(mesh, out, options, poses, faults, as_is, placed, overwrite, output)
+        return simulate_rig(mesh, out, options, poses, faults, placed, overwrite, output)
     check_path(out)
     check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from scan3d import numbers
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
@@ -114,17 +114,6 @@ class Envelope:
         radius = self.sizes[0] / 2 / np.cos(np.pi / _AROUND)
         return np.asarray(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
-    def contains(self, points: Array) -> Mask:
-        """(n,) whether points (n, 3) lie in it."""
-        x, y, z = points.T
-        if self.shape == "box":
-            inside = (np.abs(x) <= self.sizes[0] / 2) & (np.abs(y) <= self.sizes[1] / 2)
-        elif self.shape == "cylinder":
-            inside = np.hypot(x, y) <= self.sizes[0] / 2
-        else:
-            return np.asarray(x**2 + y**2 + (z - self.sizes[0] / 2) ** 2 <= self.sizes[0] ** 2 / 4)
-        return np.asarray(inside & (z >= 0) & (z <= self.height))
-
 
 def parse_envelope(text: str) -> Envelope:
     """The bounding body named by ``cylinder:DxH``, ``sphere:D`` or ``box:AxBxC``.  Raises InputError for any other text."""
@@ -198,8 +187,6 @@ class RigPlan:
     """Largest contact force; sweeps keep as far away as it demands."""
     floor: float | None = None
     """Height above which clamp and rod stay; None: 2 % of the bounding body's height, at least two diameters of the rod."""
-    workspace: Envelope | None = None
-    """Where the clamp may go."""
     speed: float = 20.0
     """Of the clamp, in units per second."""
     unit: str = "mm"
@@ -288,7 +275,7 @@ def plan_poses(plan: RigPlan) -> PoseList:
     """The poses of all sweeps with their approaches and retracts.
 
     Each sweep begins and ends where neither the straight rod nor a bent one can touch the bounding body.  Raises InputError if
-    the rod does not reach into the bounding body, if it is too stiff for the force, or if the clamp would leave the workspace.
+    the rod does not reach into the bounding body, or if it is too stiff for the force.
     """
     _check_size(plan)
     space = plan.space()
@@ -316,7 +303,6 @@ def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
     """Sweeps, numbered from `first`, with their approaches and retracts, as a list of poses."""
     space, metres = plan.space(), UNITS_M[plan.unit]
     number, position, axes, move = map(np.array, zip(*_poses(sweeps, space, first), strict=True))
-    _check_workspace(plan, position, number)
     source: dict[str, Any] = {
         "around": str(plan.around),
         "clearance": plan.resolved_clearance(),
@@ -324,9 +310,7 @@ def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
         "samples": plan.samples,
         "slices": plan.slices,
     }
-    for name, value in (("sweeps", plan.sweeps), ("max_force_N", plan.max_force_N), ("workspace", plan.workspace)):
-        if value is not None:
-            source[name] = str(value) if isinstance(value, Envelope) else value
+    source |= {name: getattr(plan, name) for name in ("sweeps", "max_force_N") if getattr(plan, name) is not None}
     return PoseList(
         sweep=number.astype(np.int64),
         position_m=position * metres,
@@ -360,19 +344,6 @@ def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, line: 
     across = (outline - line.origin) @ line.axes[0]
     x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
-
-
-def _check_workspace(plan: RigPlan, position: Array, sweep: Index) -> None:
-    if plan.workspace is None:
-        return
-    outside = ~plan.workspace.contains(position)
-    if outside.any():
-        row = int(np.argmax(outside))
-        place = ", ".join(f"{value:.4g}" for value in position[row])
-        raise InputError(
-            f"the clamp would leave the workspace {plan.workspace}: {outside.sum()} of {len(outside)} poses lie outside, the "
-            f"first of sweep {sweep[row]} at ({place}) {plan.unit}; choose a shorter rod or less clearance, or state more space"
-        )
 
 
 _Pose = tuple[int, Array, Array, int]

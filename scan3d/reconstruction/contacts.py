@@ -57,8 +57,6 @@ def model_of(recording: Recording, method: str = "closed-form", model: str | Non
 
     Raises InputError if the recording has numbers so large that their squares are none, or not the axes that the model needs.
     """
-    if not isinstance(recording, Recording):
-        raise InputError(f"contacts are reconstructed from a scan3d.Recording, got {type(recording).__name__}")
     if model not in (None, *MODELS):
         raise InputError(f"model must be one of {', '.join(MODELS)}, got {model!r}")
     six_axes = SIX_AXES if recording.six_axis else ()

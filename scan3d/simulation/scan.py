@@ -65,8 +65,6 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     recording would not fit into memory.
     """
     plan = plan or Plan()
-    if not isinstance(plan, Plan):
-        raise InputError(f"the plan must be a scan3d.Plan, got {type(plan).__name__}")
     check_body(mesh)
     return simulate_judged(mesh, plan, progress)
 

@@ -22,7 +22,7 @@ _AROUND = ("box:24x34x44", "cylinder:40x44", "sphere:60")
 _WORDS = (*_AROUND, "box:1x1x1", "sphere:1e9", "cylinder:0x0", "box:24x34", "steel:0.3x60", "nylon:1x20", "planar", "spatial",
           "mm", "m", "in", "auto", "linear", "constant")  # fmt: skip
 _PLAN = ("around", "model", "slices", "sweeps", "rod", "unit")
-_LIMITS = ("samples", "clearance", "max-force", "floor", "workspace", "speed")
+_LIMITS = ("samples", "clearance", "max-force", "floor", "speed")
 _OPTIONS = {
     "plan": _PLAN + _LIMITS,
     "poses": ("rod", "model", "friction", "seed", "unit", "noise"),
