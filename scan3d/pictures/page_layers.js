@@ -2,7 +2,9 @@
 
 function prepare(layer) {
   layer.buffer = buffer(gl.ARRAY_BUFFER, layer.points);
-  if (layer.kind === "points") Object.assign(layer, spread(layer.points));
+  const golden = k => 0.6180339887 * k % 1;  // contacts in an order whose beginnings are spread evenly along the sweeps
+  if (layer.kind === "points") layer.order = Uint32Array.from(layer.points.slice(0, layer.points.length / 3).keys())
+    .sort((a, b) => golden(a) - golden(b));
   if (layer.faces || layer.order) layer.elements = buffer(gl.ELEMENT_ARRAY_BUFFER, layer.faces || layer.order);
   layer.scale = layer.colors?.[0];
   if (layer.kind !== "lines") paint(layer);
@@ -99,7 +101,6 @@ function controls() {
     const key = add(place, "div", "key"), {rod, force, selected} = player.colors;
     dotted(key, rod, "rod"); dotted(key, force, "force and moment at the clamp, force of the contact on the rod");
     dotted(key, selected, "contacts of the sweep so far");
-    box("rods along the sweep", false, on => { player.trail = on; if (on) switchPlayer(true); player.stale = true; });
   }
   box("axes and scale", true, on => { marks.on = on; });
 }

@@ -16,7 +16,7 @@ function reset() {
 }
 function escape() {
   if (marks.measuring) measuring(false);
-  marks.points = []; marks.hovered = -1; picked.hidden = true; redraw();
+  marks.points = []; marks.contact = -1; picked.hidden = true; redraw();
 }
 
 function step(sweeps, samples) {  // from the present sample
@@ -27,17 +27,14 @@ function step(sweeps, samples) {  // from the present sample
 function listen() {
   // mouse and fingers
   const down = new Map();
-  let moved = 0, waiting = 0;
+  let moved = 0;
   canvas.onpointerdown = e => {
     canvas.classList.remove("keys"); canvas.focus(); canvas.setPointerCapture(e.pointerId);
     down.set(e.pointerId, [e.clientX, e.clientY]); moved = 0;
   };
   canvas.onpointermove = e => {
     const last = down.get(e.pointerId), now = [e.clientX, e.clientY];
-    if (!last) {  // looked up once for each frame
-      if (e.pointerType === "mouse") waiting = waiting || requestAnimationFrame(() => { waiting = 0; hover(...now); });
-      return;
-    }
+    if (!last) return;
     const dx = now[0] - last[0], dy = now[1] - last[1];
     moved += Math.abs(dx) + Math.abs(dy);
     if (down.size === 2) {
@@ -53,13 +50,12 @@ function listen() {
     down.delete(e.pointerId);
     if (e.type === "pointerup" && moved < 4 && e.button === 0) click(e.clientX, e.clientY);
   };
-  canvas.onpointerleave = () => hover(null);
   canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0012 * e.deltaY)); }, {passive: false});
   canvas.oncontextmenu = e => e.preventDefault();
   canvas.ondblclick = reset;
 
   // keys
-  const keys = {"+": () => zoom(1.2), "=": () => zoom(1.2), "-": () => zoom(1 / 1.2), 0: reset, s: save, Escape: escape};
+  const keys = {"+": () => zoom(1.2), "=": () => zoom(1.2), "-": () => zoom(1 / 1.2), 0: reset, Escape: escape};
   for (const axis of "xyz") keys[axis] = () => along(axis);
   if (player) {
     const present = () => player.contactOf[player.sample];
@@ -81,7 +77,7 @@ function listen() {
 
   // buttons, boxes and sliders
   byId("cut-axis").onchange = byId("cut-at").oninput = byId("cut-flip").onchange = redraw;
-  byId("measure").onclick = () => measuring(); byId("save").onclick = save; byId("reset").onclick = reset;
+  byId("measure").onclick = () => measuring(); byId("reset").onclick = reset;
   for (const button of document.querySelectorAll("[data-along]")) button.onclick = () => along(button.dataset.along);
   const arrange = () => {
     document.body.classList.toggle("with-panel", panel.open);
@@ -97,12 +93,9 @@ function listen() {
   const slid = (sweep, sample) => { play(false); switchPlayer(true); goTo(sweep, sample); };
   byId("sweep").oninput = e => slid(+e.target.value, player.sample - player.starts[player.sweep]);
   byId("sample").oninput = e => slid(player.sweep, +e.target.value);
-  const at = e => {
-    const k = sampleAtCurve(e.clientX);
-    if (e.buttons & 1) { play(false); goToSample(k); } else preview(k);
+  curves.onpointerdown = curves.onpointermove = e => {
+    if (e.buttons & 1) { play(false); goToSample(sampleAtCurve(e.clientX)); }
   };
-  curves.onpointerdown = curves.onpointermove = at;
-  curves.onpointerleave = () => preview(-1);
 }
 
 panel.open = window.innerWidth > narrow && window.innerHeight > 500;
@@ -110,8 +103,7 @@ if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();
   controls(); listen(); draw();
-  matchMedia("(prefers-color-scheme: dark)").onchange = () => { if (player) player.stale = true; redraw(); };
-  if (player) opening();
+  if (player) switchPlayer(true);
 } else {
   picked.hidden = false; picked.textContent = "This browser does not support WebGL 2, which this page needs.";
 }

@@ -11,14 +11,13 @@ function preparePlayer() {
   player.contactOf = new Int32Array(n).fill(-1);
   player.contact.forEach((k, contact) => { player.contactOf[k] = contact; });
   player.names = player.labels.flatMap(({title, names}) => names.map(name => [name, title.split(" in ")[1]]));
-  Object.assign(player, {on: false, playing: false, once: false, trail: false, preview: -1, time: 0, stale: true, lines: [], trace: null});
+  Object.assign(player, {on: false, playing: false, time: 0, stale: true, lines: [], trace: null});
   byId("sweep").max = player.numbers.length - 1;
-  toMiddle(player.shown);
+  goTo(player.shown, Math.floor((player.ends[player.shown] - player.starts[player.shown]) / 2));
   dock.hidden = false;
 }
 
 const sweepOf = k => player.starts.findLastIndex(start => start <= k);
-const shownSample = () => player.preview >= 0 ? player.preview : player.sample;
 
 function goTo(sweep, sample) {  // to a sample of a sweep, both counted from 0
   player.sweep = Math.min(player.numbers.length - 1, Math.max(0, sweep));
@@ -28,17 +27,11 @@ function goTo(sweep, sample) {  // to a sample of a sweep, both counted from 0
   slider.max = count - 1; slider.value = player.sample - first; byId("sweep").value = player.sweep;
   byId("sweep").setAttribute("aria-valuetext", `sweep ${player.numbers[player.sweep]}`);
   slider.setAttribute("aria-valuetext", `sample ${player.sample - first + 1} of ${count}`);
-  player.preview = -1; player.stale = true;
+  player.stale = true;
   redraw();
 }
 
-const toMiddle = sweep => goTo(sweep, Math.floor((player.ends[sweep] - player.starts[sweep]) / 2));
 const goToSample = k => goTo(sweepOf(k), k - player.starts[sweepOf(k)]);
-
-function preview(k) {  // show a sample as long as the pointer is at it, -1 for none
-  if (!player || player.preview === k) return;
-  player.preview = k; player.stale = true; redraw();
-}
 
 function switchPlayer(on) {
   if (player.on === on) return;
@@ -65,12 +58,6 @@ function lookAtSweep() {  // from its side, with the body and the clamps of this
   include(data.layers[0].points, 0); include(player.position.subarray(...range), clamp);
   const zoom = 0.94 * Math.min(view.wide / (high[0] - low[0]), view.high / (high[1] - low[1]));
   eye.zoom *= zoom; eye.x = zoom * (view.x - (low[0] + high[0]) / 2); eye.y = zoom * ((low[1] + high[1]) / 2 - view.y);
-}
-
-function opening() {  // the rod on a sweep, which it goes along once, unless its user has asked for less motion
-  switchPlayer(true);
-  if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
-  goTo(player.shown, 0); play(true); player.once = true;
 }
 
 // --- the rod of a sample ---
@@ -143,15 +130,11 @@ function arc(rod, turn) {  // an arrow around the moment's axis, beginning at th
 
 function buildRod() {  // what is drawn of the shown sample, and the text and curves that belong to it
   player.stale = false;
-  const k = shownSample(), sweep = sweepOf(k), first = player.starts[sweep], last = player.ends[sweep] - 1, L = player.length;
+  const k = player.sample, sweep = sweepOf(k), first = player.starts[sweep], last = player.ends[sweep] - 1, L = player.length;
   const {rod: blue, force: purple, selected} = player.colors, ink = paperOrInk("ink"), rod = rodAt(k), normal = cross(rod.across, rod.y);
   const trace = [...player.contactOf.subarray(first, k + 1)].filter(contact => contact >= 0).flatMap(contactPoint);
   player.lines.forEach(line => gl.deleteBuffer(line.buffer));
   player.lines = [strip([[clampAt(first), clampAt(last)]], "#8a8a8a", 1.2)];
-  if (player.trail) {
-    const chosen = Array.from({length: 9}, (_, i) => Math.round(first + (last - first) * i / 8));
-    player.lines.push(strip([...new Set(chosen)].map(i => rodAt(i).points), "#8fb8d8", 1.5));
-  }
   player.lines.push(strip([rod.points], blue, 3.5), strip([[rod.base, plus(rod.base, rod.y, -0.07 * L)]], ink, 11));
   if (rod.touches) {
     // the longest arrow and the longest arc are those of the largest force and moment of the sweep
@@ -239,16 +222,14 @@ function sampleAtCurve(clientX) {  // the sample of the present sweep whose trav
 // --- playing ---
 
 function play(on = !player.playing) {
-  player.playing = on; player.once = false; now.setAttribute("aria-live", on ? "off" : "polite");
+  player.playing = on; now.setAttribute("aria-live", on ? "off" : "polite");
   byId("play").textContent = on ? "❚❚" : "▶"; byId("play").setAttribute("aria-label", on ? "pause" : "play");
   if (!on) return;
   switchPlayer(true);
-  if (player.sample === player.ends[player.sweep] - 1) goTo(player.sweep + goesOn(), 0);
+  if (player.sample === player.ends[player.sweep] - 1) goTo(player.sweep, 0);
   player.time = performance.now(); player.share = 0;
   requestAnimationFrame(advance);
 }
-
-const goesOn = () => byId("through").checked && player.sweep < player.numbers.length - 1;
 
 function advance(time) {
   if (!player.playing) return;
@@ -256,7 +237,6 @@ function advance(time) {
   player.share += Math.max(0, time - player.time) / 1000 / byId("speed").value * count; player.time = time;
   const whole = Math.floor(player.share), next = player.sample - player.starts[player.sweep] + whole;
   player.share -= whole;
-  if (whole && next >= count && goesOn()) goTo(player.sweep + 1, 0);
-  else if (whole) { goTo(player.sweep, next); if (next >= count) { if (player.once) toMiddle(player.sweep); play(false); } }
+  if (whole) { goTo(player.sweep, next); if (next >= count) play(false); }
   requestAnimationFrame(advance);
 }

@@ -1,6 +1,6 @@
-// Tools: picking, distances, the cutting plane, the marks drawn over the picture, and the picture as a file.
+// Tools: picking, distances, the cutting plane, and the marks drawn over the picture.
 const contacts = data.layers.find(layer => layer.kind === "points");
-const marks = {canvas: byId("marks"), on: true, hovered: -1, points: [], measuring: false};
+const marks = {canvas: byId("marks"), on: true, contact: -1, points: [], measuring: false};
 const cutOff = p => dot(cutting.normal, p) > cutting.offset;
 
 function surfaceAt(x, y) {  // the nearest point of a visible body under a place of the window, and its depth; null beside it
@@ -66,7 +66,7 @@ function click(x, y) {
     if (body) mark(body.point);
     return;
   }
-  marks.hovered = contact; marks.points = [];
+  marks.contact = contact; marks.points = [];
   showContact(contact);
   const body = contact < 0 ? surfaceAt(x, y) : null;
   if (body) {
@@ -74,14 +74,6 @@ function click(x, y) {
     picked.textContent = [body.name, ...placeText(body.point), ...body.values.map(pair => valueText(...pair))].join("\n");
   }
   if (player && contact >= 0) { play(false); goToSample(player.contact[contact]); }
-  redraw();
-}
-
-function hover(x, y) {
-  const contact = x === null ? -1 : contactAt(x, y);
-  if (contact === marks.hovered) return;
-  marks.hovered = contact;
-  if (player && player.on) preview(contact < 0 ? -1 : player.contact[contact]);
   redraw();
 }
 
@@ -128,11 +120,7 @@ function drawMarks(view, ratio) {
   const over = marks.canvas, context = over.getContext("2d");
   over.width = Math.round(view.w * ratio); over.height = Math.round(view.h * ratio);  // which empties it
   context.scale(ratio, ratio);
-  paintMarks(context, view);
-}
-
-function paintMarks(context, view) {
-  const size = fontSize(), shown = player && player.on ? player.contactOf[shownSample()] : -1;
+  const size = fontSize(), shown = player && player.on ? player.contactOf[player.sample] : -1;
   const twice = (wide, paint) => {  // ink on paper, which is seen on any colour
     for (const [width, color] of [[wide, paperOrInk("paper")], [2, paperOrInk("ink")]]) {
       context.lineWidth = width; context.strokeStyle = color; context.beginPath(); paint(); context.stroke();
@@ -140,7 +128,7 @@ function paintMarks(context, view) {
   };
   context.font = `${size}px system-ui, sans-serif`; context.lineJoin = "round";
   if (marks.on) { paintAxes(context, view, size); paintScale(context, view, size); }
-  for (const contact of new Set(contacts && contacts.on ? [marks.hovered, shown] : [])) {
+  for (const contact of new Set(contacts && contacts.on ? [marks.contact, shown] : [])) {
     if (contact < 0) continue;
     const [x, y] = onScreen(contactPoint(contact));
     twice(4.5, () => context.arc(x, y, 8, 0, 2 * Math.PI));
@@ -164,15 +152,13 @@ function outlined(context, text, x, y, align) {
 }
 
 function paintAxes(context, view, size) {
-  const arm = 34, x = view.left + arm + 2 * size, y = view.h - view.bottom - arm - 1.4 * size, m = turned(), letters = [];
+  const arm = 34, x = view.left + arm + 2 * size, y = view.h - view.bottom - arm - 1.4 * size, m = turned();
   for (const i of [0, 1, 2].sort((a, b) => m[3 * a + 2] - m[3 * b + 2])) {  // from behind to the front
     const to = [m[3 * i], -m[3 * i + 1]], length = Math.hypot(...to);
     context.strokeStyle = paperOrInk("ink"); context.lineWidth = 2;
     context.beginPath(); context.moveTo(x, y); context.lineTo(x + arm * to[0], y + arm * to[1]); context.stroke();
-    const reach = arm + 0.7 * size / length, place = [x + reach * to[0], y + reach * to[1]];
-    // seen along the axis, or over another axis, the letter would lie on others
-    if (length < 0.15 || letters.some(other => Math.hypot(place[0] - other[0], place[1] - other[1]) < 0.9 * size)) continue;
-    letters.push(place); outlined(context, "xyz"[i], ...place, "center");
+    const reach = arm + 0.7 * size / length;  // an axis that is seen from its end has no letter
+    if (length > 0.15) outlined(context, "xyz"[i], x + reach * to[0], y + reach * to[1], "center");
   }
 }
 
@@ -182,44 +168,4 @@ function paintScale(context, view, size) {  // the longest round length of up to
   context.strokeStyle = paperOrInk("ink"); context.lineWidth = 3;
   context.beginPath(); context.moveTo(x - length * view.unit, y); context.lineTo(x, y); context.stroke();
   outlined(context, lengthText(length), x - length * view.unit / 2, y - 0.8 * size, "center");
-}
-
-// --- the picture as a file ---
-
-function picture() {  // a canvas with what is seen, without the controls, and with the scales of colours
-  draw();
-  const made = document.createElement("canvas"), context = made.getContext("2d"), ratio = window.devicePixelRatio || 1;
-  const view = measures(), size = fontSize(), x = 16;
-  made.width = canvas.width; made.height = Math.round(canvas.height - view.bottom * ratio);  // not the place of the player
-  context.drawImage(canvas, 0, 0);
-  context.scale(ratio, ratio);
-  paintMarks(context, view);
-  let y = 16 + size / 2;
-  context.font = `600 ${1.2 * size}px system-ui, sans-serif`; outlined(context, data.name, x, y, "left");
-  context.font = `${size}px system-ui, sans-serif`;
-  for (const layer of data.layers) {
-    if (!layer.on || !layer.scale) continue;
-    const {title, kinds, stops, low, high, log} = layer.scale;
-    outlined(context, title, x, y += 2 * size, "left");
-    for (const [text, color] of kinds || []) {
-      y += 1.3 * size;
-      context.fillStyle = color; context.beginPath(); context.arc(x + 6, y, 5, 0, 2 * Math.PI); context.fill();
-      outlined(context, text, x + 18, y, "left");
-    }
-    if (kinds) continue;
-    const ramp = context.createLinearGradient(x, 0, x + 200, 0);
-    stops.forEach((color, k) => ramp.addColorStop(k / (stops.length - 1), color));
-    context.fillStyle = ramp; context.fillRect(x, (y += 1.3 * size) - 6, 200, 12); y += 1.3 * size;
-    outlined(context, number(low), x, y, "left"); outlined(context, number(high), x + 200, y, "right");
-    if (!log) outlined(context, number((low + high) / 2), x + 100, y, "center");
-  }
-  return made;
-}
-
-function save() {
-  picture().toBlob(blob => {
-    const link = document.createElement("a"), place = URL.createObjectURL(blob);
-    link.href = place; link.download = data.name.replace(/[^\w.-]+/g, "_") + ".png"; link.click();
-    setTimeout(() => URL.revokeObjectURL(place), 60000);
-  }, "image/png");
 }

@@ -27,9 +27,9 @@ const lengthText = (x, digits = 3, up = false) => {
 const paperOrInk = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 // A window up to this width, in CSS pixels, is that of a phone: the panel then covers the body instead of standing beside it.
 const narrow = 700;
-// Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: contacts at
-// most, cells of the surface across the body, and pixels for each CSS pixel at most.
-const levels = [null, {contacts: 20000, cells: 36, ratio: 0.75}, {contacts: 8000, cells: 24, ratio: 0.5}];
+// Pixels across each CSS pixel: two smooth the edges.  Where frames come late, as without a graphics processor, there are fewer,
+// and the surface is coarser, as long as the picture moves.
+const ratios = [Math.max(2, window.devicePixelRatio || 1), 0.75, 0.5];
 
 const head = `#version 300 es
 precision highp float; uniform mat3 turn; uniform vec2 scale, shift; uniform float depth; uniform vec4 cut; out float beyond;
@@ -87,8 +87,7 @@ function attribute(used, name, source, size, type = gl.FLOAT, stride = 0, offset
 }
 
 const start = {azimuth: 0.656, elevation: 0.452, zoom: 1, x: 0, y: 0};
-// Contacts are drawn no nearer to each other than so many pixels, as well as a grid can tell, so that colours are seen between.
-const gap = 15;
+const gap = 15;  // pixels between contacts that are drawn, in the mean, so that colours are seen between
 // Cuts everything with dot(normal, p) > offset off; the zero vector cuts nothing.
 const cutting = {normal: [0, 0, 0], offset: 0};
 let eye = {...start}, frame = 0;
@@ -157,8 +156,7 @@ function drawLines(layer, view, ratio, cuts = true) {
 
 function drawTriangles(layer, view, level) {
   const used = use("triangles", view), transparent = layer.alpha < 1;
-  layer.coarse ||= [layer];
-  const {elements, faces} = layer.coarse[level] ||= coarser(layer, levels[level].cells);
+  const {elements, faces} = level ? layer.coarse ||= coarser(layer) : layer;
   attribute(used, "position", layer.buffer, 3); attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4);
   gl.uniform1f(used.at("alpha"), layer.alpha || 1);
   if (transparent) { gl.enable(gl.BLEND); gl.depthMask(false); }
@@ -167,8 +165,8 @@ function drawTriangles(layer, view, level) {
   if (transparent) { gl.disable(gl.BLEND); gl.depthMask(true); }
 }
 
-function coarser(layer, cells) {  // the triangles that remain where all vertices in a cell of a grid become one of them
-  const p = layer.points, cell = 2 * data.radius / cells, first = new Map(), chosen = new Uint32Array(p.length / 3);
+function coarser(layer) {  // the triangles that remain where all vertices in a cell of a grid become one of them
+  const p = layer.points, cell = data.radius / 18, first = new Map(), chosen = new Uint32Array(p.length / 3);
   for (let k = 0; k < chosen.length; k++) {
     const key = [0, 1, 2].reduce((sum, i) => sum * 1024 + Math.round(p[3 * k + i] / cell) + 512, 0);
     if (!first.has(key)) first.set(key, k);
@@ -182,26 +180,8 @@ function coarser(layer, cells) {  // the triangles that remain where all vertice
   return {faces, elements: buffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(faces))};
 }
 
-function spread(points) {  // contacts in an order whose beginnings are spread evenly, and how many have cells of one of some sizes
-  const n = points.length / 3, order = [], counts = [], chosen = new Uint8Array(n);
-  for (let k = 2; order.length < n && k < 12; k++) {
-    const cell = data.radius / 2 ** k, taken = new Set();
-    const key = i => [0, 1, 2].reduce((sum, c) => sum * 8192 + Math.round(points[3 * i + c] / cell) + 4096, 0);
-    for (const i of order) taken.add(key(i));
-    for (let i = 0; i < n; i++) {
-      if (chosen[i] || taken.has(key(i))) continue;
-      taken.add(key(i)); order.push(i); chosen[i] = 1;
-    }
-    counts[k] = order.length;
-  }
-  for (let i = 0; i < n; i++) if (!chosen[i]) order.push(i);
-  return {order: new Uint32Array(order), counts};
-}
-
-function seen(layer, view, level) {  // how many contacts, in their order, are drawn
-  const k = Math.max(2, Math.floor(Math.log2(view.unit * data.radius / gap)));
-  return Math.min(layer.counts[k] ?? layer.order.length, level ? levels[level].contacts : Infinity);
-}
+// How many contacts, in their order, are drawn.
+const seen = (layer, view) => Math.min(layer.order.length, Math.ceil(5 * (view.unit * data.radius / gap) ** 2));
 
 function drawLayers(view, ratio, level) {
   gl.viewport(0, 0, canvas.width, canvas.height);
@@ -211,47 +191,30 @@ function drawLayers(view, ratio, level) {
     if (!layer.on || layer.alpha < 1) continue;
     if (layer.kind === "lines") drawLines(layer, view, ratio);
     else if (layer.kind === "triangles") drawTriangles(layer, view, level);
-    else drawPoints(layer, eye.zoom > 1 ? 9 : 6, view, ratio, true, 0.004, layer.shown = seen(layer, view, level));
+    else drawPoints(layer, eye.zoom > 1 ? 9 : 6, view, ratio, true, 0.004, layer.shown = seen(layer, view));
   }
   if (player) drawRod(view, ratio);
   for (const layer of data.layers) if (layer.on && layer.alpha < 1) drawTriangles(layer, view, level);
-}
-
-const smooth = gl && {target: gl.createFramebuffer(), color: gl.createRenderbuffer(), depth: gl.createRenderbuffer()};
-
-function drawSmooth(view, ratio) {  // the layers with four samples for each pixel, which a picture in motion does without
-  const {width, height} = canvas, count = Math.min(4, gl.getParameter(gl.MAX_SAMPLES));
-  gl.bindFramebuffer(gl.FRAMEBUFFER, smooth.target);
-  for (const [store, format, at] of [[smooth.color, gl.RGBA8, gl.COLOR_ATTACHMENT0],
-    [smooth.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
-    gl.bindRenderbuffer(gl.RENDERBUFFER, store);
-    gl.renderbufferStorageMultisample(gl.RENDERBUFFER, count, format, width, height);
-    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, store);
-  }
-  drawLayers(view, ratio, 0);
-  gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.target); gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
-  gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
 }
 
 const pace = {asked: 0, lateFrames: 0, level: 0, settle: 0};
 
 function draw(level = 0) {
   frame = 0;
-  const full = window.devicePixelRatio || 1, ratio = level ? Math.min(full, levels[level].ratio) : full, view = measures();
+  const ratio = ratios[level], view = measures();
   const width = Math.max(1, Math.round(view.w * ratio)), height = Math.max(1, Math.round(view.h * ratio));
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
   cut();
-  if (level) drawLayers(view, ratio, level); else drawSmooth(view, ratio);
-  drawMarks(view, full);
+  drawLayers(view, ratio, level);
+  drawMarks(view, window.devicePixelRatio || 1);
 }
 
 function redraw() {
   if (frame) return;
   pace.asked = performance.now();
-  frame = requestAnimationFrame(() => {  // three late frames in a row lower the detail, which returns when the picture is still
+  frame = requestAnimationFrame(() => {  // three late frames in a row take pixels, which return when the picture is still
     pace.lateFrames = performance.now() - pace.asked > 36 ? pace.lateFrames + 1 : 0;
-    if (pace.lateFrames >= 3) { pace.level = Math.min(levels.length - 1, pace.level + 1); pace.lateFrames = 0; }
+    if (pace.lateFrames >= 3) { pace.level = Math.min(ratios.length - 1, pace.level + 1); pace.lateFrames = 0; }
     draw(pace.level);
     clearTimeout(pace.settle);
     if (pace.level) pace.settle = setTimeout(draw, 200);
