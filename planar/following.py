@@ -1,7 +1,8 @@
 """Contacts by the moment alone, along sweeps: tangential contacts with known friction move along the surface.
 
 Such a contact has ``β = ζ``, and between two samples it moves across the mean of their normals: two equations for the two
-forces of each sample.  The second has an error of the third order in the step.  Both hold in a plane, and in space for a
+forces of each sample.  The second has an error of a sixth of the step's square times the change of the curvature, of the third
+order on a smooth body, and of no more than the step times its turn at a corner.  Both hold in a plane, and in space for a
 straight rod, which bends in the plane across its moment, if the contact is frictionless, so that the force has the direction
 of the normal.  The forces are those in the plane in which the rod bends, and `frames` is where that lies.
 
@@ -30,6 +31,10 @@ _ROOT, _STEPS = 1e-11, 20
 _PLACES = 8193
 # The push at the begin of a sweep ends where the moment is this many times that of its first row.
 _PUSH = 3.0
+# Slope of the rod at the contact, in radians, up to which a row is one of the begin: from there on pushes tell wrong places.
+_BENT = 0.2
+# Arc length from which on the contact may be one of the tip, which pushes by large steps place up to 0.05 before it.
+_NEAR_TIP = 0.95
 
 
 class Frames(NamedTuple):
@@ -43,6 +48,10 @@ class Frames(NamedTuple):
     """(n, 2, k) the unit vectors against which the body pushes the rod, and along which the rod leaves the clamp."""
     normal: Array
     """(n, k) that across both; zero in a plane."""
+
+    def rows(self, rows: Index) -> Frames:
+        """The frames of some rows."""
+        return Frames(self.sweep[rows], self.place[rows], self.axes[rows], self.normal[rows])
 
 
 class Followed(NamedTuple):
@@ -79,7 +88,10 @@ def follow(
     rank = np.arange(count) - first[number]
     begin, begin_sd = start[number], np.broadcast_to(start_sd, start.shape)[number]
     force, covariance = np.full((count, 2), np.nan), np.full((count, 4, 4), np.nan)
-    common = np.zeros((count, 4))  # changes by the friction angle
+    common = np.zeros(
+        (3, count, 4)
+    )  # what errors of the friction angle, the start and the steps change, in each sweep alike
+    curvature = np.zeros(count)  # of the surface up to a row
     for k in range(int(rank.max(initial=-1)) + 1):
         rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
         push = moment[rows] / begin[rows]  # of a rod that is hardly bent
@@ -108,26 +120,31 @@ def follow(
 
         here = _newton(equations, guess)
         residual, by_here, by_before = equations(here)
-        s1 = _contact(frames, rows, here, moment[rows], rod)[0].s1
-        right = (np.abs(residual).max(axis=1) < 1e3 * _ROOT) & (s1 <= 1 + 1e-9)
+        at = _contact(frames, rows, here, moment[rows], rod)[0]
+        second_sd = begin_sd[rows]
+        if last is not None:
+            way, turn = (np.linalg.norm(new - old, axis=1) for new, old in zip(at[2:], last[0][2:], strict=True))
+            curvature[rows] = turn / np.maximum(way, np.finfo(float).tiny)
+            second_sd = np.minimum(way**2 * np.abs(curvature[rows] - curvature[rows - 1]) / 6, way * turn)
+        inverse = -_inverse(by_here[:, :, :2])
+        right = (
+            (np.abs(residual).max(axis=1) < 1e3 * _ROOT) & (at.s1 <= 1 + 1e-9) & np.isfinite(inverse).all(axis=(1, 2))
+        )
         rows, by_here, by_before = rows[right], by_here[right], by_before[right]
+        inverse, second_sd = inverse[right], second_sd[right]
         force[rows] = here[right]
-        inverse = -np.linalg.inv(by_here[:, :, :2])
         own, told = np.zeros((len(rows), 4, 2)), np.zeros((len(rows), 4, 4))
         own[:, :2], own[:, 2:] = inverse @ by_here[:, :, 2:], np.eye(2)
         told[:, :2] = inverse @ by_before
         spread = own * np.stack([np.full(len(rows), noise), noise / moment[rows]], axis=1)[:, None]
         own_covariance = spread @ spread.transpose(0, 2, 1)
-        common[rows, :2] = -inverse[:, :, 0]
+        common[0, rows, :2] = -friction_angle_sd * inverse[:, :, 0]
+        common[2 if k else 1, rows, :2] = second_sd[:, None] * inverse[:, :, 1]
         if k:
-            common[rows] += np.einsum("nij,nj->ni", told, common[rows - 1])
+            common[:, rows] += np.einsum("nij,enj->eni", told, common[:, rows - 1])
             own_covariance += told @ covariance[rows - 1] @ told.transpose(0, 2, 1)
-        else:
-            by_start = -np.pad(inverse[:, :, 1], ((0, 0), (0, 2))) * begin_sd[rows, None]
-            own_covariance += by_start[:, :, None] * by_start[:, None, :]
         covariance[rows] = own_covariance
-    covariance += friction_angle_sd**2 * common[:, :, None] * common[:, None, :]
-    return Followed(force, covariance)
+    return Followed(force, covariance + np.einsum("eni,enj->nij", common, common))
 
 
 class _Contact(NamedTuple):
@@ -162,6 +179,13 @@ def _contact(frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod)
 Pair = tuple[_Contact, _Contact]
 
 
+def _inverse(matrix: Array) -> Array:
+    """Inverses of matrices (n, 2, 2), not finite where there is none."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    with np.errstate(all="ignore"):
+        return np.asarray((np.array([[d, -b], [-c, a]]) / (a * d - b * c)).transpose(2, 0, 1))
+
+
 def _newton(equations: Callable[[Array], tuple[Array, Array, Array]], guess: Array) -> Array:
     """Roots (n, 2) by Newton's method, whose steps are halved where they leave the rods or do not help."""
     residual, rate, _ = equations(guess)
@@ -170,9 +194,7 @@ def _newton(equations: Callable[[Array], tuple[Array, Array, Array]], guess: Arr
         if not (size > _ROOT).any():
             break
         with np.errstate(all="ignore"):
-            step = np.linalg.solve(
-                np.where(np.isfinite(rate[:, :, :2]), rate[:, :, :2], np.eye(2)), -residual[:, :, None]
-            )[:, :, 0]
+            step = -(_inverse(rate[:, :, :2]) @ residual[:, :, None])[:, :, 0]
         part = np.ones(len(guess))
         for _ in range(_STEPS):
             tried = guess + part[:, None] * step
@@ -238,24 +260,37 @@ def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
     bent = s * s * zeroth - 2 * s * first + second + rod.compliance * s * s
     # the root is linear along a uniform rod
     rates = np.abs(np.atleast_1d(np.asarray(rate, dtype=float)))
-    return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))
 
 
-def by_push(x0: Array, moment: Array, *, noise: float = 0.0, rod: Rod | None = None) -> tuple[float, float]:
+def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None) -> tuple[float, float]:
     """Arc length s1 of the first contact of a sweep in which the moment rises from the first row (n,) on, and its standard
-    deviation: by the rows up to that of three times the first moment, and by what a part of them would change.
+    deviation: by the rows up to that of three times the first moment, by what a part of them would change, and by the bending.
 
-    NaN where the contact may be at the tip, and if there are less than two rows.  Raises ValueError as `touched_at`.
+    NaN where the contact may be at the tip, where the rod is bent from the first row on, and of less than three rows.
+    Raises ValueError as `touched_at`.
     """
-    last = int(np.argmax(np.append(moment >= _PUSH * moment[0], True))) if len(moment) else 0
-    last = min(last, len(moment) - 1)
-    if last < 1:
+    if len(moment) < 3:
         return np.nan, np.nan
+    last = int(np.argmax(np.append(moment >= _PUSH * moment[0], True)))
+    last = min(max(last, 2), len(moment) - 1)
     rows = np.array([last, (last + 1) // 2])
-    way = np.abs(x0[rows] - x0[0])
+    way = np.abs((frames.place[rows] - frames.place[0]) @ frames.axes[last, 0])
     rate, error = (moment[rows] - moment[0]) / way, np.sqrt(2) * noise / way[0]
     s1, part, near, far = touched_at(np.maximum([*rate, rate[0] + error, rate[0] - error], 0.0), rod=rod)
-    sd = float(np.hypot((far - near) / 2, s1 - part))
+    bent = moment[[0, last]] * s1 / 2  # slope of the rod at the contact
+    sd = float(np.linalg.norm([(far - near) / 2, s1 - part, s1 * bent[1] ** 2 / 4]))
     # the contact moves on during the push: a part of it tells where it began
     start = float(2 * part - s1)
-    return (start, sd) if start > 0 and start + 3 * sd < 1 else (np.nan, np.nan)
+    return (start, sd) if 0 < start < _NEAR_TIP - 3 * sd and bent[0] < _BENT else (np.nan, np.nan)
+
+
+def follow_pushes(
+    frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None, **told: float
+) -> Followed:
+    """`follow` from what `by_push` tells of the first contact of each sweep."""
+    sweeps = [np.flatnonzero(frames.sweep == number) for number in np.unique(frames.sweep)]
+    pushes = [by_push(frames.rows(rows), moment[rows], noise=noise, rod=rod) for rows in sweeps]
+    start, start_sd = np.array(pushes).reshape(-1, 2).T
+    return follow(frames, moment, start, rod=rod, noise=noise, start_sd=start_sd, **told)

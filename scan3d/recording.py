@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import planar
 from scan3d import numbers
 from scan3d.arrays import Array, Index, Mask, evenly
-from scan3d.channels import Known
+from scan3d.channels import FORCE, Known
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations, check_positions
 from scan3d.rigs import RigUncertainty, one_rig
@@ -187,10 +187,16 @@ class Recording(Shown):
             raise InputError(
                 "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is tared"
             )
-        if self.completed is not None and (self.rig is not None or self.six_axis or self.rod.weight_N):
+        if self.completed is not None and (
+            self.rig is not None or self.rod.weight_N or (self.six_axis and self.completed.channel != FORCE)
+        ):
             raise InputError(
                 "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; measure "
                 "all of fx, fy and mz"
+            )
+        if self.completed is not None and self.six_axis and (self.completed.friction or self.completed.friction_sd):
+            raise InputError(
+                "recording: in space two moments locate contacts without friction only; measure the force as well"
             )
 
     def __len__(self) -> int:
@@ -226,8 +232,8 @@ class Recording(Shown):
             place * LARGEST_OVER_SD,
             self.noise_force_N >= _DITHER * force
             and self.noise_moment_Nm >= _DITHER * moment
-            # a wrong coefficient of friction is the same in all rows
-            and not (self.completed is not None and self.completed.friction_sd),
+            # a wrong coefficient of friction is the same in all rows, and forces by moments follow one another
+            and not (self.completed is not None and (self.completed.friction_sd or self.completed.channel == FORCE)),
         )
 
     def reactions(self, six_axis: bool) -> tuple[Array, Array]:
@@ -413,6 +419,8 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     """
     known, rod = recording.completed, recording.rod
     assert known is not None
+    if known.channel == FORCE:
+        return _with_forces(recording)
     force, moment = recording.reactions(six_axis=False)
     reactions = {"f0x": force[:, 0], "f0y": force[:, 1], "m0z": moment[:, 2]}
     least = FORCE_SIGMAS * max(recording.noise.of_reactions(rod))
@@ -431,6 +439,33 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
         forces[:, list(reactions).index(known.channel)] = found * rod.force_unit_N
         recording = replace(recording, force_N=forces)
     return of_rows(recording, kept), kept
+
+
+def followed(recording: Recording) -> tuple[Array, Array]:
+    """The forces (n, 3) of a recording of moments alone in EI/L², and the covariances of all reactions, as `Known.follow`."""
+    known, rod = recording.completed, recording.rod
+    assert known is not None
+    nothing = np.zeros(len(recording))
+    columns = [recording.moment_x_Nm, nothing, recording.moment_Nm]
+    moment = np.column_stack([nothing if column is None else column for column in columns]) / rod.moment_unit_Nm
+    noise = recording.noise.moment_Nm / rod.moment_unit_Nm
+    pressed = np.linalg.norm(moment, axis=1) > FORCE_SIGMAS * noise
+    place, axes = recording.position_m / rod.length_m, recording.axes()
+    return known.follow(pressed, recording.sweep, place, axes, moment, noise, rod.in_plane())
+
+
+def _with_forces(recording: Recording) -> tuple[Recording, Mask]:
+    """`completed` of a recording of moments alone."""
+    force, rod = followed(recording)[0], recording.rod
+    kept = np.isfinite(force[:, 0])
+    if not force[kept].any():
+        raise InputError(
+            "no sweep can be followed by its moments: each has to begin with a small push of the side of the rod, not of its "
+            "tip, against the body; measure the force as well"
+        )
+    columns = reaction_columns(rod.force_unit_N * np.nan_to_num(force), np.zeros_like(force), recording.six_axis)
+    forces = {name: column for name, column in columns.items() if name.startswith("force")}
+    return of_rows(replace(recording, **forces), kept), kept
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

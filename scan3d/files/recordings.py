@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.channels import COLUMNS as REACTIONS
-from scan3d.channels import Known
+from scan3d.channels import FORCE, Known
 from scan3d.errors import InputError
 from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.binary_tables import parquet_bytes
@@ -161,7 +161,7 @@ def read_recording(path: str | Path) -> Recording:
     meta.finish(", and notes belong into [source]")
     known |= {field: values[name] for name, field in SIX_AXES.items() if name in values}
     if told is not None:
-        known["completed"] = replace(told, channel=missing[0]) if missing else told
+        known["completed"] = replace(told, channel=missing[0] if len(missing) == 1 else FORCE) if missing else told
     try:
         recording = Recording(
             sweep=sweep,
@@ -187,18 +187,20 @@ def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tu
     missing = [name for name in COLUMNS if name not in header]
     expected = [name for name in COLUMNS if name in header]
     if known is not None and not (
-        (not missing and known.channel) or (len(missing) == 1 and missing[0] in REACTIONS.values())
+        (not missing and known.channel)
+        or (len(missing) == 1 and missing[0] in REACTIONS.values())
+        or missing == list(REACTIONS.values())[:2]
     ):
         raise InputError(
-            f"{path.name}: [known] of its TOML file stands for one of {', '.join(REACTIONS.values())}, and the header "
-            f"lacks {', '.join(missing) or 'none'}"
+            f"{path.name}: [known] of its TOML file stands for one of {', '.join(REACTIONS.values())}, or for the first two, "
+            f"and the header lacks {', '.join(missing) or 'none'}"
         )
     if missing and known is None:
         raise InputError(
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             f"(scan3d simulate writes such a table); one sweep in one plane has the columns x0, f0x, f0y, m0z"
         )
-    further = [name for name in SIX_AXES if name in header] if known is None else []
+    further = [name for name in SIX_AXES if name in header] if known is None or known.channel == FORCE else []
     if further and len(further) < len(SIX_AXES):
         absent = ", ".join(name for name in SIX_AXES if name not in further)
         raise InputError(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scan3d import numbers
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
-from scan3d.channels import COLUMNS
+from scan3d.channels import COLUMNS, FORCE, IN_PLANE
 from scan3d.errors import InputError
 from scan3d.files.reading import Section
 from scan3d.files.text_tables import Table, read_table
@@ -35,8 +35,7 @@ from scan3d.spatial import inverse
 
 KIND = "import"
 """What the source of an imported recording is."""
-# The channels of a planar recording.
-_IN_PLANE = np.array([0, 1, 5])
+_FORCES_IN_PLANE = [0, 1]
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
 # Part of the rows that another frame of the wrench must make those of a bent rod to be named.
@@ -188,8 +187,8 @@ def _converted(table: Table, map: Map) -> Imported:
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     _check_range(position, map, table.name)
     noise = _clamp_noise(sensed.noise, map, known)
-    sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise[0])
-    touched = felt(sensed.wrench[:, :3], noise[0], 0.05)  # a part that only contact has
+    sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise)
+    touched = _touching(sensed.wrench, noise, 0.05)  # a part that only contact has
     check_directions(map, table.name, sweep, position, quaternion, touched)
     notes = [*sensed.notes, *notes]
     if backwards.any():
@@ -233,7 +232,7 @@ def _converted(table: Table, map: Map) -> Imported:
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         noise_factor=sensed.factor,
-        notes=(*notes, *_contact_notes(wrench[kept], touching, known, map)),
+        notes=(*notes, *_contact_notes(wrench[kept], touching, known | recording.six_axis, map)),
     )
     return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
 
@@ -242,6 +241,12 @@ def felt(force_N: Array, noise_N: float, part: float = 1e-3) -> Mask:
     """Rows (n,) whose force (n, k) stands out from the noise, and is more than a part of the largest one."""
     force = np.linalg.norm(force_N, axis=1)
     return np.asarray(force > max(FORCE_SIGMAS * noise_N, part * float(force.max(initial=0.0))))
+
+
+def _touching(wrench: Array, noise: tuple[float, float], part: float = 1e-3) -> Mask:
+    """`felt` of wrenches (n, 6): of their moments where no force was measured."""
+    k = 0 if wrench[:, :3].any() else 1
+    return felt(wrench[:, 3 * k : 3 * k + 3], noise[k], part)
 
 
 class _Sensed(NamedTuple):
@@ -332,11 +337,11 @@ def _clamp_wrench(wrench: Array, present: Mask, map: Map, where: str) -> tuple[A
     scale = np.abs(matrix).max(axis=1, keepdims=True)
     needed = np.abs(matrix) > 1e-12 * scale  # less is rounding of the turn
     known: Mask = ~(needed & ~present).any(axis=1)
-    missing = [channel for channel in _IN_PLANE if not known[channel]]
-    if map.known is not None and len(missing) != 1:
+    missing = [channel for channel in IN_PLANE if not known[channel]]
+    if map.known is not None and len(missing) != 1 and missing != _FORCES_IN_PLANE:
         raise InputError(
-            f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, and of these {len(missing)} are "
-            'missing; leave its column empty (""), or leave out [known]'
+            f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, or for fx and fy, and of these "
+            f'{len(missing)} are missing; leave its column empty (""), or leave out [known]'
         )
     for channel in missing:
         if map.known is None:
@@ -360,7 +365,7 @@ def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
 
 
 def _sweeps(
-    log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise_N: float
+    log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise: tuple[float, float]
 ) -> tuple[NDArray[np.int64], Mask, list[str]]:
     """Number of the sweep (n,) of each row, -1 outside, rows (n,) of strokes along +x that count as sweeps, and notes."""
     none = np.zeros(len(log), dtype=bool)
@@ -374,7 +379,7 @@ def _sweeps(
     counting = np.full(len(found.backwards), True) if both else ~found.backwards
     sweep = np.append(np.where(counting, np.cumsum(counting) - 1, -1), -1)[found.sweep]
     backwards = (sweep >= 0) & np.append(found.backwards, False)[found.sweep]
-    sweep, left = without_transfers(sweep, felt(wrench[:, :3], noise_N), position, quaternion, map.rod.length_m)
+    sweep, left = without_transfers(sweep, _touching(wrench, noise), position, quaternion, map.rod.length_m)
     note = (
         f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
         "sweeps, number them in a column and name it as sweep under [columns]"
@@ -392,12 +397,13 @@ def _recording(
     wrench: Array,
     known: Mask,
 ) -> Recording:
+    by_moments = map.known is not None and not known[_FORCES_IN_PLANE].any()
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
     return Recording(
         sweep=sweep,
         position_m=position,
         quaternion=quaternion,
-        **reaction_columns(wrench[:, :3], wrench[:, 3:], bool(known.all())),
+        **reaction_columns(wrench[:, :3], wrench[:, 3:], bool(known.all() or (by_moments and known[3]))),
         rod=map.rod,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
@@ -409,7 +415,7 @@ def _recording(
         gravity=map.gravity,
         completed=None
         if map.known is None
-        else replace(map.known, channel=list(COLUMNS)[int(np.argmin(known[_IN_PLANE]))]),
+        else replace(map.known, channel=FORCE if by_moments else list(COLUMNS)[int(np.argmin(known[IN_PLANE]))]),
     )
 
 
@@ -497,7 +503,8 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
 
 def _held(imported: Imported) -> float:
     """The part of the rows in contact that lie in sweeps."""
-    touched = felt(imported.wrench[:, :3], imported.summary.noise_force_N, 0.05)
+    noise = imported.summary.noise_force_N, imported.summary.noise_moment_Nm
+    touched = _touching(imported.wrench, noise, 0.05)
     return float((imported.sweep >= 0)[touched].mean()) if touched.any() else 1.0
 
 

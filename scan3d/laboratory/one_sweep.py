@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from planar.following import Frames, by_push, follow
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Mask
 from scan3d.channels import COLUMNS as REACTIONS
-from scan3d.channels import Known
+from scan3d.channels import FORCE, IN_PLANE, Known
 from scan3d.errors import InputError
 from scan3d.files.reading import read_rod, read_section
 from scan3d.files.recordings import read_known, sidecar
@@ -262,9 +261,19 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     reactions = {name: np.zeros(len(sweep)) if column is None else column for name, column in names.items()}
     assumed: dict[str, Any] = {}
     if alone and sweep.known is not None:
-        reactions["f0x"], reactions["f0y"], assumed["covariance"] = _by_moment(
-            x0, reactions["m0z"], np.flatnonzero(felt), sweep, moment, rod
+        side, nothing = -sweep.direction, np.zeros(len(x0))
+        forces, covariance = replace(sweep.known, channel=FORCE).follow(
+            felt,
+            np.zeros(len(x0), dtype=np.intp),
+            np.column_stack([x0, nothing, nothing]),
+            np.broadcast_to(np.diag([side, 1.0, side]), (len(x0), 3, 3)),
+            np.column_stack([nothing, nothing, side * reactions["m0z"]]),
+            moment,
+            rod if side > 0 else rod.mirrored(),
         )
+        mirror = np.array([side, 1.0, side])
+        reactions["f0x"], reactions["f0y"] = side * forces[:, 0], forces[:, 1]
+        assumed["covariance"] = covariance[:, IN_PLANE[:, None], IN_PLANE] * np.outer(mirror, mirror)
     for name in (name for name, column in names.items() if column is None and sweep.known is not None and not alone):
         instead = replace(sweep.known or Known(), channel=name)
         reactions[name] = instead.complete(reactions, np.flatnonzero(felt), sweep.direction, rod)
@@ -305,40 +314,6 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         slope=_kept(errors.slope, tangential),
     )
     return SweepContacts(sweep, found, errors, (force, moment), undetermined)
-
-
-def _by_moment(
-    x0: Array, m0z: Array, rows: Index, sweep: OneSweep, noise: float, rod: planar.Rod
-) -> tuple[Array, Array, Array]:
-    """Forces (n,) of the rows of a sweep that touch, NaN where the moment leaves them open, and the covariances (n, 3, 3)."""
-    known, side, count = sweep.known or Known(), -sweep.direction, len(rows)
-    bent, moment = rod if side > 0 else rod.mirrored(), side * m0z[rows]
-    frames = Frames(
-        np.zeros(count, dtype=np.intp),
-        np.column_stack([x0[rows], np.zeros(count)]),
-        np.broadcast_to(np.array([[side, 0.0], [0.0, 1.0]]), (count, 2, 2)),
-        np.zeros((count, 2)),
-    )
-    try:
-        start, start_sd = by_push(x0[rows], moment, noise=noise, rod=bent)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    told: dict[str, Any] = {"friction": known.friction or 0.0, "friction_angle_sd": known.errors["known_sd"]}
-    found = follow(frames, moment, np.array([start]), noise=noise, start_sd=start_sd, rod=bent, **told)
-    # the error of the step, of the second order, is a third of what every second row alone would change
-    second = Frames(frames.sweep[::2], frames.place[::2], frames.axes[::2], frames.normal[::2])
-    coarse = follow(second, moment[::2], np.array([start]), rod=bent, **told).force
-    at = np.flatnonzero(np.isfinite(coarse[:, 0] + found.force[::2, 0]))
-    if len(at):  # past the last one its change is taken
-        columns = ((found.force[::2] - coarse)[at] / 3).T
-        change = np.stack([np.interp(np.arange(count), 2 * at, column) for column in columns], axis=1)
-    else:
-        change = np.zeros((count, 2))
-    found.covariance[:, :2, :2] += change[:, :, None] * change[:, None, :]
-    forces, covariance = np.zeros((len(x0), 2)), np.zeros((len(x0), 3, 3))
-    mirror = np.array([side, 1.0, side])
-    forces[rows], covariance[rows] = found.force * mirror[:2], found.covariance[:, :3, :3] * np.outer(mirror, mirror)
-    return forces[:, 0], forces[:, 1], covariance
 
 
 def _kept(values: Array, rows: Mask) -> Array:

@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index, evenly
+from scan3d.channels import FORCE
 from scan3d.cloud import Cloud, Tilt
 from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
@@ -65,6 +66,7 @@ _CAUSES = {
     "sweep-direction": ("poses", "deg", "the poses are wrong: {}"),
     "out-of-plane": ("planar-model", "", "the model is wrong: choose the spatial model"),
     BELOW_TABLE: ("table", "", "the table is wrong: {}"),
+    "followed": ("unknown", "", "a channel that is missing: {}"),
 }
 
 
@@ -84,7 +86,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         number = np.full(kept[-1] + 1, -1)
         number[kept] = np.arange(len(kept))
         cloud = renumbered(cloud, number)
-    alone, diagnosis = _below_table(cloud), None
+    alone, diagnosis = _below_table(cloud) + _followed(recording), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
@@ -130,6 +132,17 @@ def _without_contact(fraction: float) -> list[Contradiction]:
         f"(at most {share(_DISTURBED)} are expected)"
     )
     return [Contradiction("force-without-contact", text, fraction)]
+
+
+def _followed(recording: Recording) -> list[Contradiction]:
+    """That nothing tests forces that follow from moments."""
+    if recording.completed is None or recording.completed.channel != FORCE:
+        return []
+    text = (
+        "the forces follow from the moments on a surface that turns evenly from row to row, without corners, which nothing "
+        "tests: measure the force for a certificate"
+    )
+    return [Contradiction("followed", text, np.nan)]
 
 
 def _too_wild(part: float) -> Contradiction:

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index, Mask
+from scan3d.channels import FORCE, IN_PLANE
 from scan3d.choices import MODELS
 from scan3d.cloud import Cloud, LeftOut, NormalSource
 from scan3d.errors import InputError
@@ -33,7 +34,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Recording, of_rows
+from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Recording, followed, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
@@ -89,8 +90,11 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     known = recording.noise
     noise = known.of_reactions(rod)
     bent = recording.in_plane()
-    columns, told = (np.zeros(len(moment)), fx, fy, moment), {}
-    if recording.completed is not None:
+    columns = (np.zeros(len(moment)), fx, fy, moment)
+    told: dict[str, Any] = {}
+    if (by_moment := _by_moment(recording)) is not None:
+        told = {"covariance": by_moment[:, IN_PLANE[:, None], IN_PLANE]}
+    elif recording.completed is not None:
         tip = planar.reconstruct(*columns, rod=bent).phase == planar.Phase.TIP
         told = recording.completed.errors | {"tip": tip}
     error = planar.errors(fx, fy, moment, noise=noise, rod=bent, **told)
@@ -123,7 +127,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     pose, length = known.pose_m / scale, rod.length_m / scale
     in_world = np.einsum("nij,nik,njl->nkl", error.point[rows], axes[rows, :2], axes[rows, :2])
     place_sd = np.hypot(length * error.largest[rows], pose)
-    noisy = max(*noise, pose) > 0
+    noisy = max(*noise, pose) > 0 or by_moment is not None
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
     cloud = Cloud(
         points=points / scale,
@@ -158,6 +162,12 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     unresolved = unproven(cloud, recording, slices.number, FORCE_SIGMAS * max(noise) / 3)
     unresolved[np.setdiff1d(slices.number[pressed], cloud.slice)] = True
     return replace(cloud, unresolved=unresolved) if unresolved.any() else cloud
+
+
+def _by_moment(recording: Recording) -> Array | None:
+    """Covariances (n, 6, 6) of reactions whose forces follow from the moments; None where the forces were measured."""
+    by_moment = recording.completed is not None and recording.completed.channel == FORCE
+    return followed(recording)[1] if by_moment else None
 
 
 def rest(recording: Recording, left: LeftOut) -> tuple[Recording, Index]:
@@ -243,9 +253,9 @@ def readings(recording: Recording) -> Readings:
     force, moment = recording.reactions(six_axis=True)
     noise = recording.noise.of_reactions(recording.rod)
     bent, down = recording.rod.in_space(), recording.down()
-    error = None
-    if max(*noise, recording.noise.pose_m):
-        error = inverse.errors(force, moment, noise, rod=bent, gravity=down)
+    error, by_moment = None, _by_moment(recording)
+    if max(*noise, recording.noise.pose_m) or by_moment is not None:
+        error = inverse.errors(force, moment, noise, rod=bent, gravity=down, covariance=by_moment)
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))

@@ -227,8 +227,6 @@ class SpatialErrors(NamedTuple):
     """(n,) of the angle β."""
     tangent: Array
     """(n,) of the tangent: root of the mean square angle, in radians."""
-    plane: Array
-    """(n,) of the bending plane's angle ω, in radians."""
     force: Array
     """(n,) of the direction of the force: root of the mean square angle, in radians."""
 
@@ -240,10 +238,16 @@ def errors(
     *,
     rod: SpatialRod | None = None,
     gravity: Array | None = None,
+    covariance: Array | None = None,
 ) -> SpatialErrors:
-    """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment."""
-    if rod is not None and not rod.is_straight_and_uniform:
-        return _errors_by_differences(rod, f0, m0, noise, gravity)
+    """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment.
+
+    `covariance` (n, 6, 6) of force and moment stands in the place of white noise of reactions that agree with a single force.
+    """
+    if covariance is not None or (rod is not None and not rod.is_straight_and_uniform):
+        if covariance is None:
+            covariance = np.broadcast_to(np.diag(np.repeat(np.square(noise), 3)), (len(f0), 6, 6))
+        return _errors_by_differences(rod or SpatialRod(), f0, m0, covariance, gravity)
     sigma_f, sigma_m = noise
     with np.errstate(all="ignore"):  # rows without a force have no errors that are numbers
         # exact reactions, of rods whose poses alone are noisy, give the same direction with any weights
@@ -271,11 +275,11 @@ def errors(
         return np.where(known & np.isfinite(values), values, np.inf)
 
     point[~known] = np.inf
-    return SpatialErrors(point, largest, *(certain(value) for value in (s1_sd, beta_sd, tangent, angle, force)))
+    return SpatialErrors(point, largest, *(certain(value) for value in (s1_sd, beta_sd, tangent, force)))
 
 
 def _errors_by_differences(
-    rod: SpatialRod, f0: Array, m0: Array, noise: tuple[float, float], gravity: Array | None
+    rod: SpatialRod, f0: Array, m0: Array, covariance: Array, gravity: Array | None
 ) -> SpatialErrors:
     """`errors` of rods that do not bend in a plane, by central differences of their contacts."""
     down = None if gravity is None else gravity.T
@@ -287,18 +291,19 @@ def _errors_by_differences(
         found = march.contacts(rod, moved[:3], moved[3:], None if down is None else np.tile(down, 12))
         along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
         ends = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]).reshape(8, 2, 6, n)
-        rate = (ends[:, 1] - ends[:, 0]) / (2 * _DIFFERENCE * size) * np.repeat(noise, 3)[:, None]
-        slope = np.moveaxis(rate, 1, 2)  # of place, tangent, s1 and β (8, n, 6)
-        point = np.einsum("ink,jnk->nij", slope[:3], slope[:3])
-        tangent, s1, beta = (np.sqrt((part**2).sum(axis=(0, 2))) for part in (slope[3:6], slope[6:7], slope[7:]))
-        across_f, across_m = (np.hypot(v[:, 0], v[:, 2]) for v in (f0, m0))
-        plane = 1 / np.sqrt((across_m / noise[1]) ** 2 + (across_f / noise[0]) ** 2)
-        force = noise[0] * np.sqrt(2) / size[0]
-    known = np.isfinite(slope).all(axis=(0, 2))
+        rate = (ends[:, 1] - ends[:, 0]) / (2 * _DIFFERENCE * size)
+        slope = rate.transpose(2, 0, 1)  # of place, tangent, s1 and β (n, 8, 6)
+        spread = slope @ covariance @ slope.transpose(0, 2, 1)
+        point, variances = spread[:, :3, :3], np.einsum("nii->in", spread)
+        tangent, s1, beta = (np.sqrt(part) for part in (variances[3:6].sum(axis=0), variances[6], variances[7]))
+        direction, by_force = f0 / size[0][:, None], covariance[:, :3, :3]
+        along_force = np.einsum("ni,nij,nj->n", direction, by_force, direction)
+        force = np.sqrt(np.maximum(np.trace(by_force, axis1=1, axis2=2) - along_force, 0.0)) / size[0]
+    known = np.isfinite(spread).all(axis=(1, 2))
     point[~known] = np.inf
     largest = np.full(len(f0), np.inf)
     largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
-    return SpatialErrors(point, largest, *(np.where(known, v, np.inf) for v in (s1, beta, tangent, plane, force)))
+    return SpatialErrors(point, largest, *(np.where(known, v, np.inf) for v in (s1, beta, tangent, force)))
 
 
 def _checked(name: str, values: ArrayLike) -> Array:
