@@ -120,10 +120,6 @@ def _march(x0: Array, kappa: Array, s: Array, across: Array, along: Array) -> En
     return End(*(np.stack(column, axis=1) for column in zip(*ends, strict=True)))
 
 
-def _wrapped(angle: Array) -> Array:
-    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
-
-
 def _places(outlines: Outlines, rods: Rods, s: Array, last: Array) -> Array:
     """The unknown u (m, k) of contacts that slip; of a rod that rolls the arc on the outline is that on the rod."""
     if not rods.sticks.any():
@@ -146,8 +142,8 @@ def residuals(outlines: Outlines, rods: Rods, z: Array) -> Array:
     left[:, 0] = marched.kappa[:, -1]
     left[:, 1 : 1 + k] = marched.x - place.point[:, 0].reshape(m, k)
     left[:, 1 + k : 1 + 2 * k] = marched.y - place.point[:, 1].reshape(m, k)
-    turned = _wrapped(marched.phi - tau - np.where(rods.side < 0, np.pi, 0.0))
-    left[:, 1 + 2 * k :] = np.where(rods.tip, s - 1, turned)
+    turned = marched.phi - tau - np.where(rods.side < 0, np.pi, 0.0)
+    left[:, 1 + 2 * k :] = np.where(rods.tip, s - 1, np.remainder(turned + np.pi, 2 * np.pi) - np.pi)
     return left
 
 

@@ -69,14 +69,9 @@ def _plain(name: str, values: Any) -> NDArray[Any]:
     if array.dtype.kind not in "iuf" or (name == "sweep" and not whole):
         expected = "whole numbers" if name == "sweep" else "real numbers"
         raise InputError(
-            f"recording: {name} must be an array of {expected}, got {array.dtype.name} {_shortened(values)}"
+            f"recording: {name} must be an array of {expected}, got {array.dtype.name} {' '.join(str(values).split()):.40}"
         )
     return array
-
-
-def _shortened(values: Any) -> str:
-    text = " ".join(str(values).split())
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 class Noise(NamedTuple):

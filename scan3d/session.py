@@ -178,7 +178,10 @@ class Session(Described):
         """
         if self._last is None:
             recording = self.recording
-            model = "planar" if self.plan.model == "planar" and _is_level(recording) else None
+            normals = recording.axes()[:, 2]
+            # all slices are horizontal, up to the tilt of a clamp that is a little off
+            level = (normals[:, 2] > 0).all() and np.linalg.norm(normals[:, :2], axis=1).max() < LEVEL
+            model = "planar" if self.plan.model == "planar" and level else None
             found = analyse(recording, model=model)
             for warning in found.warnings:
                 if warning.code == BELOW_TABLE:
@@ -261,9 +264,3 @@ def around_contacts(recording: Recording, model: str) -> rig.Envelope:
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())
     return rig.Envelope("cylinder", tuple(float(f"{1.1 * size:.4g}") for size in (2 * radius, high)))
-
-
-def _is_level(recording: Recording) -> bool:
-    """Whether all slices are horizontal, up to the tilt of a clamp that is a little off, with their normals up."""
-    normals = recording.axes()[:, 2]
-    return bool((normals[:, 2] > 0).all() and np.linalg.norm(normals[:, :2], axis=1).max() < LEVEL)

@@ -192,7 +192,7 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
 
 
 def to_shape(what: _Thing, truth: trimesh.Trimesh | _Path | None = None, unit: str | None = None) -> Shape:
-    """The table of a cloud or a surface, as `save` writes it."""
+    """The table of a cloud or a surface, as `save` writes it, with the distances from the true body as ``quality``."""
     if isinstance(what, Shape):
         shape = what
     elif isinstance(what, Cloud):
@@ -203,7 +203,11 @@ def to_shape(what: _Thing, truth: trimesh.Trimesh | _Path | None = None, unit: s
         raise InputError(
             f"only a recording, a cloud or a surface (trimesh.Trimesh) can be saved, got a {type(what).__name__}"
         )
-    return shape if truth is None else _with_quality(shape, truth)
+    if truth is None:
+        return shape
+    body = read_mesh(truth, shape.unit) if isinstance(truth, (str, os.PathLike)) else truth
+    columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    return replace(shape, rows=table(columns | {"quality": distances(shape.points, body)}))
 
 
 def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
@@ -214,13 +218,6 @@ def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
     rows = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     return Shape(rows, np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
-
-
-def _with_quality(shape: Shape, truth: trimesh.Trimesh | _Path) -> Shape:
-    """The table with the distances of its points from the true body as the column ``quality``."""
-    body = read_mesh(truth, shape.unit) if isinstance(truth, (str, os.PathLike)) else truth
-    columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
-    return replace(shape, rows=table(columns | {"quality": distances(shape.points, body)}))
 
 
 def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:

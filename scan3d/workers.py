@@ -13,7 +13,6 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
-from scan3d.errors import InputError
 from scan3d.processes import ALGEBRA, end
 
 # What libraries read when they start: the number of threads of linear algebra, of OpenMP and of Mesa's software renderer.
@@ -27,13 +26,9 @@ class Workers(Executor):
     `ProcessPoolExecutor`, which is lost with the first of its processes.  Leaving the ``with`` block by an exception ends the
     processes at once.  Processes are started when they are first needed, and end with the process that started them, even if
     that is killed.
-
-    Raises InputError unless the number of workers is a whole number of at least 1.
     """
 
     def __init__(self, jobs: int) -> None:
-        if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
-            raise InputError(f"jobs must be a whole number of at least 1, got {jobs!r}")
         # each thread has a pool of one process, which it replaces when that has died
         self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="scan3d-worker")
         self._of_thread = threading.local()

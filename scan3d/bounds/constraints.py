@@ -154,7 +154,10 @@ def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:
     places = Places(points, errors * float(np.linalg.norm(to_frame, 2)))
     arcs = arcs_of_contacts(places, tangents, rows, np.zeros(len(rows))).moved(places.errors[rows])
     if cloud.table is not None:
-        arcs = arcs.joined(_table_plane(cloud.table - cloud.rod_radius, centre, shape))
+        # nothing of the body lies below it
+        point = np.linalg.solve(shape, [0.0, 0.0, cloud.table - cloud.rod_radius - centre[2]])
+        down = unit(shape @ [0.0, 0.0, -1.0])[None]
+        arcs = arcs.joined(Arcs(point[None], down, across(down)[0], np.zeros(1)))
     return Tangents(arcs, rows, centre, shape)
 
 
@@ -181,13 +184,6 @@ def arcs_of_contacts(places: Places, tangents: Array, rows: Index, turns: Array)
         hull = ConvexHull(places.points, qhull_options="QJ")  # moved by rounding where very many lie in one plane
     vertices, edges = edges_of(hull)
     return arcs_at(places.select(rows), tangents[rows], turns, places.select(vertices), edges)
-
-
-def _table_plane(height: float, centre: Array, shape: Array) -> Arcs:
-    """The plane at a height, below which nothing of the body lies, in the frame of `Tangents`."""
-    point = np.linalg.solve(shape, [0.0, 0.0, height - centre[2]])
-    normal = unit(shape @ [0.0, 0.0, -1.0])
-    return Arcs(point[None], normal[None], across(normal[None])[0], np.zeros(1))
 
 
 class HalfSpaces(NamedTuple):

@@ -43,9 +43,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, unit
-from scan3d.bounds.apexes import Apexes, best_apexes
+from scan3d.bounds.apexes import best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
-from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
+from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
 from scan3d.bounds.wedges import outer_body
 from scan3d.cloud import Cloud, Tilt
@@ -526,7 +526,8 @@ def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
     assert cloud.centre_points is not None
     tangent = tangent_planes(cloud, errors)
     centre_hull = hull(cloud.centre_points)
-    apexes = _apexes_around(tangent, centre_hull)
+    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
+    apexes = best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
     if apexes is None:
         corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
     else:
@@ -634,12 +635,6 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
         return lower, np.inf
     shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
     return lower, max(float(ConvexHull(corners).volume) - shell, lower)
-
-
-def _apexes_around(tangent: Tangents, centre_hull: Any) -> Apexes | None:
-    """The best apexes of the planes; None if nothing is bounded."""
-    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
-    return best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
 
 
 def _bodies_by_arcs(

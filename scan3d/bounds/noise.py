@@ -426,7 +426,7 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
             groups.append(group + count)
             weights.append(weight / np.bincount(group, weight)[group])
             choices = _CANDIDATES ** np.maximum((runs >= 0).sum(axis=1) - 1.0, 0)
-            kappas.append(_widened(kappa, choices))
+            kappas.append(np.sqrt(chdtri(3, chdtrc(3, kappa**2) / choices)))  # of an event among so many
             count += len(number)
     return Averages(np.concatenate(rows), np.concatenate(groups), np.concatenate(weights), np.concatenate(kappas))
 
@@ -441,12 +441,6 @@ def _beside(middle: Array, reach: Array, sweep: NDArray[np.int32]) -> Index:
         close = (distance[np.arange(len(middle)), nearest] <= reach) & (sweep != number)
         beside.append(np.where(close, runs[nearest], -1))
     return np.stack(beside, axis=1)
-
-
-def _widened(kappa: float, choices: Array) -> Array:
-    """κ for events of which there are `choices` (k,) as many."""
-    widened: Array = np.sqrt(chdtri(3, chdtrc(3, kappa**2) / choices))
-    return widened
 
 
 def beyond(corners: Array, points: Array, normals: Array, tangents: Array, offset: Array) -> tuple[Array, Array]:

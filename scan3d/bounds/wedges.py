@@ -55,8 +55,8 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
     """
     centre, shape = frame_of(places.points)
     normals, values = _wedges(cloud, places, turns, centre)
-    directions, triangles = _sphere()
-    directions = directions @ shape
+    sphere = trimesh.creation.icosphere(subdivisions=_BEGIN)
+    directions, triangles = sphere.vertices.view(np.ndarray) @ shape, sphere.faces.view(np.ndarray)
     distance = nearest_on(inner)
     normals_of_inner = face_normals(inner)
     planes = np.column_stack([normals_of_inner, dot(normals_of_inner, inner.triangles[:, 0] - centre)])
@@ -109,12 +109,6 @@ def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[
         values = np.concatenate([values, np.full((1, 4), centre[2] - (cloud.table - cloud.rod_radius))])
     outside = (values > NEGLIGIBLE * np.abs(values).max(initial=0.0)).all(axis=1)
     return np.concatenate([np.zeros((1, 4, 3)), normals[outside]]), np.concatenate([np.ones((1, 4)), values[outside]])
-
-
-def _sphere() -> tuple[Array, Index]:
-    """Unit vectors (v, 3), and triangles (m, 3) of them over all directions."""
-    mesh = trimesh.creation.icosphere(subdivisions=_BEGIN)
-    return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
 
 
 def _entered(normals: Array, values: Array, directions: Array) -> Array:

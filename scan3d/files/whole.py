@@ -76,7 +76,9 @@ class Replacement:
 
         Files of the result before that this one does not have are removed, if they are as the program wrote them.
         """
-        kept = [name for name in earlier_files(self.folder, self.kind) if self._is_kept(name)]
+        # what this run has read of the result before
+        of_before = unchanged(self.folder, self.kind)
+        kept = [name for name in self.kind if name in of_before and name not in self._sha256 and self._is_input(name)]
         names = [*kept, *self._sha256, self.kind[-1]]
         read = {name: sha256(self.folder / name) for name in RECORDING} if self.reads_recording else {}
         data = {**report, "files": names, "sha256": {**read, **self._sha256}}
@@ -84,10 +86,6 @@ class Replacement:
         with in_a_sentence(self.folder, "--out"):
             _replace(self._work, self.folder)
         return data
-
-    def _is_kept(self, name: str) -> bool:
-        """Whether a file of the result before stays, because this run has read it."""
-        return name not in self._sha256 and self._is_input(name) and name in unchanged(self.folder, self.kind)
 
     @property
     def reads_recording(self) -> bool:

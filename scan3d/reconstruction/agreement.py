@@ -162,7 +162,9 @@ def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
 
 def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     """Whether contacts in slices are not those of a convex body: an empty list if they are."""
-    beyond, allowed = _beyond_tangents(cloud)
+    # the pair of a contact and a tangent that exceeds what is allowed by the largest factor
+    pairs = [(0.0, 1.0), *(compared.misfit.worst() for compared in compared_in_slices(cloud))]
+    beyond, allowed = max(pairs, key=lambda pair: pair[0] / pair[1])
     if beyond > allowed:
         text = (
             f"contacts lie up to {length(beyond, cloud.unit)} beyond the tangent at a contact of the same slice, where "
@@ -175,14 +177,6 @@ def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradicti
     radius = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit]
     place = place + cloud.lever + np.where(cloud.phase == planar.Phase.TIP, radius, 0.0)
     return _not_convex(cloud, (place, np.zeros(len(cloud))), np.empty(0, dtype=np.intp))
-
-
-def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
-    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two."""
-    worst = 0.0, 1.0
-    for compared in compared_in_slices(cloud):
-        worst = max(worst, compared.misfit.worst(), key=lambda pair: pair[0] / pair[1])
-    return worst
 
 
 class Compared(NamedTuple):

@@ -155,7 +155,8 @@ def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, thick: Rod) -
         for k in within:
             if outlines[k][:, 1].min() <= 0:
                 raise InputError(_begins_in_body(tracks[k].number))
-        base = [_base(tracks[k], length) for k in within]
+        travel = [(tracks[k].position - tracks[k].position[0]) @ tracks[k].axes[0, 0] / length for k in within]
+        base = list(map(np.minimum.accumulate, travel))  # falling also where rounding would lift it
         contours = [planar.Polygon(outlines[k]) for k in within]
         frictions = [tracks[k].friction for k in within]
         swept = planar.sweep_all(contours, frictions, base=base, rod=rod) if within else []
@@ -183,11 +184,6 @@ def _begins_in_body(number: int) -> str:
         f"the rod touches the body before sweep {number} begins: the body is larger than what the poses were planned for, or "
         "stands elsewhere; plan with a larger --around"
     )
-
-
-def _base(track: Track, length: float) -> Array:
-    """(n,) base positions of a sweep from its first place, in rod lengths; falling also where rounding would lift them."""
-    return np.minimum.accumulate((track.position - track.position[0]) @ track.axes[0, 0] / length)
 
 
 def _check_path(track: Track, length: float, model: str) -> None:

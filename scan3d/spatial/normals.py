@@ -370,19 +370,14 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
         squares -= turned(slopes.difference)
     # truncation as it is on average over the window: single contacts may hide it by chance
     own = squares if slopes.difference is None else np.zeros_like(squares)
-    squares = np.maximum(_running_mean(squares, slopes.width), own)
+    large = 1e3  # as which infinite values count
+    squares = np.maximum(uniform_filter1d(np.minimum(squares, large), slopes.width, mode="nearest"), own)
     if slopes.variance is not None:
         squares += turned(slopes.variance)
     squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + NEGLIGIBLE**2
     if track.direction_sd is not None:
         squares += (track.direction_sd[rows] / cosine) ** 2
     return np.where((cosine > 0) & np.isfinite(squares), np.sqrt(squares), np.inf)
-
-
-def _running_mean(values: Array, width: int) -> Array:
-    """Means (k,) over about as many neighbours as a window has; infinite values count as very large."""
-    largest = 1e3
-    return np.asarray(uniform_filter1d(np.minimum(values, largest), width, mode="nearest"))
 
 
 def _along(vectors: Array, unit: Array) -> Array:
