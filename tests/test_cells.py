@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.bounds import enclosure
-from scan3d.bounds.cells import cells_of_cloud
+from scan3d.bounds.cells import _left, cells_of_cloud
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
@@ -39,6 +39,13 @@ def scanned(seed, slices=6, axes="xyz", spacing="cosine"):
 
 def found_in(cloud):
     return cells_of_cloud(cloud, stacks(cloud), hull(cloud.points))
+
+
+def test_a_thin_cell_that_no_tried_point_lies_in_has_its_corners():
+    low, high = np.array([5.0, 3.0, -1.0]), np.array([6.0, 4.0, -0.99])
+    planes = np.hstack([np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([-high, low])[:, None]])
+    corners, _ = _left(planes, np.zeros(3), np.eye(3), np.zeros((1, 3)))
+    assert hull(corners).bounds == pytest.approx(np.stack([low, high]))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import planar
 import scan3d
 from planar.equilibria import tangential
 from scan3d import Rod
-from scan3d.bounds.enclosures import shell
+from scan3d.bounds.enclosures import _thinner, enclosure, shell, sticking_out
 from scan3d.comparison import compare
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame
@@ -190,6 +190,15 @@ def test_a_tapered_rod_moves_contacts_by_its_radius_there_and_certifies_nothing(
     data = report(thick, settings={})
     assert thick.certificate.bound == np.inf
     assert "the rod's radius changes along it" in dict(summary(data)[1])["certified"]
+
+
+def test_an_inner_body_that_is_thinner_than_the_rod_sticks_out_no_farther_than_is_stated():
+    wedge = trimesh.convex.convex_hull([[0, 0, 0], [20, 0, 0], [0, 16, 0], [3, 3, 1]])
+    bounds = enclosure(scan3d.reconstruct(scan3d.simulate(wedge, scan3d.Plan(slices=8, spacing="cosine", samples=16))))
+    found = _thinner(bounds, 0.5)
+    # the farthest of its corners, which stick out by different lengths
+    assert sticking_out(found.inner.vertices, found.inner_bodies).max() == pytest.approx(found.excess, rel=1e-9)
+    assert 0.2 < found.excess <= found.bound
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-7])
