@@ -1,6 +1,5 @@
 """Mesh files as bodies: what is read, what is refused, and what counts as convex."""
 
-import base64
 import hashlib
 import itertools
 import json
@@ -153,30 +152,13 @@ def quantized(tree):
     tree["nodes"][0]["scale"] = [0.015] * 3
 
 
-def sparse(tree):
-    at = {"bufferView": 2, "componentType": 5125}
-    tree["accessors"][0]["sparse"] = {"count": 1, "indices": at, "values": {"bufferView": 2, "byteOffset": 4}}
-
-
-def embedded(tree):
-    faces = box().faces.astype("<u2").tobytes()
-    tree["buffers"].append({"byteLength": 72, "uri": f"data:;base64,{base64.b64encode(faces).decode()}"})
-    tree["bufferViews"][1] = {"buffer": 1, "byteLength": 72}
-
-
 GLB = {
-    "a first point that a sparse accessor corrects": (
-        CORNERS * (np.arange(8) > 0)[:, None].astype("<f4"),
-        sparse,
-        bytes(4) + CORNERS[0].tobytes(),
-    ),
     "quantized": (np.hstack([np.round(CORNERS / 0.015 * 32767), np.zeros((8, 1))]).astype("<i2"), quantized, b""),
     "interleaved": (
         np.hstack([CORNERS, CORNERS[:, :1]]),
         lambda tree: tree["bufferViews"][0].update(byteStride=16),
         b"",
     ),
-    "two buffers": (CORNERS, embedded, b""),
     "a mirror image in a camera": (
         CORNERS,
         lambda tree: tree["nodes"][0].update(camera=0, scale=[-1.0, 1.0, 1.0], rotation=[0.0, 0.0, 1.0, 0.0]),
@@ -192,28 +174,13 @@ def test_glb_is_read_as_its_specification_says(tmp_path, name):
     assert mesh.volume == pytest.approx(7200, rel=1e-4)
 
 
-@pytest.mark.parametrize("mode", [5, 6])
-def test_strips_and_fans_of_glb(tmp_path, mode):
-    """A tetrahedron, in a fan without the wall through the origin that adds nothing to the volume."""
-    points = np.zeros((8, 3), "<f4")
-    points[1:4] = 0.01 * np.eye(3)
-
-    def changed(tree):
-        tree["accessors"][0].update(min=[0, 0, 0], max=[0.01] * 3)
-        tree["accessors"][1].update(bufferView=2, count=6 if mode == 5 else 5)
-        tree["meshes"][0]["primitives"][0]["mode"] = mode
-
-    corners = [1, 2, 0, 3, 1, 2] if mode == 5 else [1, 2, 0, 3, 2]
-    mesh = read_mesh(written_glb(tmp_path / "corner.glb", points, changed, np.array(corners, "<u2").tobytes()))
-    assert len(mesh.faces) == (4 if mode == 5 else 3)
-    assert abs(mesh.volume) == pytest.approx(10**3 / 6)
-
-
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
         (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compr"),
-        (lambda tree: tree["buffers"][0].update(uri="box.bin"), "its data lie in another file, box.bin"),
+        (lambda tree: tree["buffers"][0].update(uri="box.bin"), "its data lie in another place, box.bin"),
+        (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=5), "stored as strips or fans"),
+        (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "without sparse accessors"),
         (lambda tree: tree["nodes"][0].update(skin=0), "bent by a skeleton"),
     ],
 )

@@ -1,13 +1,12 @@
 """Binary glTF 2.0 (GLB): in metres and with y up, as its specification says.
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.  Of the world's axes x stays, z becomes y, and y becomes -z.  The
-libraries that the program uses do not write the normals of points, and read
-sparse accessors, fans, normalized positions and required extensions wrongly without a message.
+libraries that the program uses do not write the normals of points, and read sparse accessors, fans, normalized positions and
+required extensions wrongly without a message.
 """
 
 from __future__ import annotations
 
-import base64
 import json
 import struct
 from collections.abc import Mapping
@@ -20,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.shapes import FRAME, LENGTHS, Shape
-from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
 # The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.
@@ -29,7 +27,7 @@ _VECTORS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _TYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
 _WIDTHS = {name: width for width, name in _VECTORS.items()}
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_TRIANGLES = 4
 # Beginnings of the names of extensions that a file may require: those that concern its looks only, and one that is read.
 _READ = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
 _AXES = "x, z and -y of the world"
@@ -146,8 +144,10 @@ def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
         if "skin" in node or any(node.get("weights", mesh.get("weights", ()))):
             raise InputError("its shape is bent by a skeleton or by morph targets; export the body as a plain mesh")
         for primitive in mesh["primitives"]:
-            if (mode := primitive.get("mode", _TRIANGLES)) >= _TRIANGLES:
-                points, faces = content.triangles(primitive, mode)
+            if (mode := primitive.get("mode", _TRIANGLES)) > _TRIANGLES:
+                raise InputError("its triangles are stored as strips or fans; export it as plain triangles")
+            if mode == _TRIANGLES:
+                points, faces = content.triangles(primitive)
                 faces = faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]  # a mirror image
                 parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
     extras = tree["asset"].get("extras")
@@ -182,10 +182,12 @@ class _Content:
 
     def __init__(self, tree: Mapping[str, Any], binary: bytes) -> None:
         self._tree = tree
-        self._buffers = [binary if "uri" not in buffer else _embedded(buffer["uri"]) for buffer in tree["buffers"]]
+        self._binary = binary
+        if uri := next((buffer["uri"] for buffer in tree["buffers"] if "uri" in buffer), ""):
+            raise InputError(f"its data lie in another place, {uri[:80]}; export it as one GLB")
 
-    def triangles(self, primitive: Mapping[str, Any], mode: int) -> tuple[Array, Index]:
-        """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles, of a strip or of a fan."""
+    def triangles(self, primitive: Mapping[str, Any]) -> tuple[Array, Index]:
+        """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles."""
         position = self._tree["accessors"][primitive["attributes"]["POSITION"]]
         stored = self._values(position)
         points = stored.astype(float)
@@ -194,40 +196,15 @@ class _Content:
         corners = np.arange(len(points))
         if "indices" in primitive:
             corners = self._values(self._tree["accessors"][primitive["indices"]]).ravel().astype(np.int64)
-        if mode == _TRIANGLES:
-            return points, corners.reshape(-1, 3)
-        k = np.arange(len(corners) - 2)
-        first, second = (k + k % 2, k + 1 - k % 2) if mode == _STRIP else (np.zeros_like(k), k + 1)
-        return points, corners[np.stack([first, second, k + 2], axis=1)]
+        return points, corners.reshape(-1, 3)
 
     def _values(self, accessor: Mapping[str, Any]) -> NDArray[Any]:
-        """The values (n, k) of an accessor, as they are stored."""
-        kind, width, count = _TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]], accessor["count"]
-        sparse = accessor.get("sparse")
-        if "bufferView" in accessor:
-            values = self._rows(accessor, kind, width, count)
-        elif sparse:
-            check_memory(count * width * kind.itemsize, "a sparse mesh", "take a coarser one")
-            values = np.zeros((count, width), kind)
-        else:
-            raise ValueError("an accessor without data")
-        if sparse:
-            at = self._rows(sparse["indices"], _TYPES[sparse["indices"]["componentType"]], 1, sparse["count"])
-            values = values.copy()
-            values[at.ravel()] = self._rows(sparse["values"], kind, width, sparse["count"])
-        return values
-
-    def _rows(self, at: Mapping[str, Any], kind: np.dtype[Any], width: int, count: int) -> NDArray[Any]:
-        """Rows (n, k) that lie in a view of a buffer.  Raises ValueError if they leave it."""
-        view, size = self._tree["bufferViews"][at["bufferView"]], width * kind.itemsize
-        stride, offset = view.get("byteStride", size), at.get("byteOffset", 0)
-        start = view.get("byteOffset", 0)
-        part = self._buffers[view["buffer"]][start : start + view["byteLength"]]
-        return np.ndarray((count, width), kind, part, offset, (stride, kind.itemsize))
-
-
-def _embedded(uri: str) -> bytes:
-    """The bytes of a buffer that stands in the description itself."""
-    if not uri.startswith("data:"):
-        raise InputError(f"its data lie in another file, {uri[:80]}; export it as one GLB")
-    return base64.b64decode(uri.partition(",")[2])
+        """The values (n, k) of an accessor, as they are stored.  Raises ValueError if they leave its view of the buffer."""
+        if "sparse" in accessor:
+            raise InputError("its coordinates are stored as changes of others; export it without sparse accessors")
+        kind, width = _TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]]
+        size, view = width * kind.itemsize, self._tree["bufferViews"][accessor["bufferView"]]
+        stride, start = view.get("byteStride", size), view.get("byteOffset", 0)
+        part = self._binary[start : start + view["byteLength"]]
+        place = accessor.get("byteOffset", 0)
+        return np.ndarray((accessor["count"], width), kind, part, place, (stride, kind.itemsize))
