@@ -54,6 +54,17 @@ def dent_of(mesh):
     return -float((vertices @ equations[:, :3].T + equations[:, 3]).max(axis=1).min())
 
 
+def test_the_bound_by_edges_does_not_depend_on_the_order_of_the_faces():
+    mesh = trimesh.creation.icosphere(2)
+    mesh.vertices = mesh.vertices * [1, 0.7, 0.4] * np.where(np.arange(len(mesh.vertices)) == 9, 0.96, 1)[:, None]
+    facets, bounds = facets_of(mesh), []
+    for order in (np.arange(len(mesh.faces)), np.random.default_rng(0).permutation(len(mesh.faces))):
+        bounds.append(planes_by_edges(facets.faces[order], facets.corners[order], facets.normals[order])[1])
+    assert 1e-6 < bounds[0] < 1
+    # but for the end of each edge by which its distance is bounded from above
+    assert bounds[0] == pytest.approx(bounds[1], rel=0.03)
+
+
 @pytest.mark.parametrize("path", MESHES, ids=[path.name for path in MESHES])
 def test_the_meshes_that_come_along_are_as_convex_as_by_qhull(path, monkeypatch):
     facets = facets_of(read_mesh(path))
