@@ -79,7 +79,7 @@ def clipped(vertices: Array, planes: Array) -> Array:
     if not len(cutting) or (cutting[:, :3] @ middle > cutting[:, 3] - NEGLIGIBLE * size).any():
         return vertices
     equations = ConvexHull(vertices).equations
-    return cut_polytope(np.column_stack([equations[:, :3], -equations[:, 3]]), cutting, middle, size, NEGLIGIBLE * size)
+    return _vertices(np.concatenate([equations * [1, 1, 1, -1], cutting]), middle)
 
 
 def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:

@@ -51,16 +51,19 @@ def on_planes(points: Array, planes: Array, size: float) -> tuple[Index, Index]:
     return point, plane
 
 
-def vertices_among(corners: Array, planes: Array, contacts: Array, size: float) -> tuple[Mask, Mask]:
+def vertices_among(corners: Array, planes: Array, contacts: tuple[Index, Index], size: float) -> tuple[Mask, Mask]:
     """Which corners (c, 3) of the body of planes (k, 4) are vertices of the true one, and in which others three of them meet.
+
+    contacts
+        the contacts `on_planes`.
 
     More planes than three meet in a vertex, since others do not meet in one point.  So do three if contacts lie on two of the
     edges: a facet that cut the corner off would have ends on these edges, where they go on to other facets' corners.
     """
     corner, plane = on_planes(corners, planes, size)
     meeting = np.bincount(corner, minlength=len(corners))
-    contact, side = on_planes(contacts, planes, size)
-    on_edge = np.bincount(contact, minlength=len(contacts)) == 2
+    contact, side = contacts
+    on_edge = np.bincount(contact) == 2
     edges = np.unique(side[on_edge[contact]].reshape(-1, 2) @ [len(planes), 1])
     three = np.flatnonzero(meeting == 3)
     of_three = plane[np.isin(corner, three)].reshape(-1, 3)

@@ -88,7 +88,7 @@ def has_cells(cloud: Cloud) -> bool:
     return applicable(cloud, stacks(cloud))
 
 
-def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False) -> Room:
+def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False, has_edges: bool = True) -> Room:
     """The room that contacts in slices leave, taken as they are: noise may let the body reach farther.
 
     bounds
@@ -96,6 +96,8 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     by_cells
         whether the corners are those of the cells between the slices of several axes (`has_cells`) instead of those of the
         slabs along one.
+    has_edges
+        whether the body may have facets: a smooth one has those of its mesh alone.
     """
     if by_cells:
         cells = cells_of_cloud(cloud, stacks(cloud), hull(cloud.points))
@@ -110,9 +112,8 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     open_ = np.isfinite(bounds.gap) & (bounds.gap > 0)
     foot, number, stack = slabs.foot[open_], slabs.number[open_], slabs.stack
     away, fixed = bounds.corners[open_] - foot, np.where(np.isin(number, (0, len(stack.slices))), UNKNOWN, np.nan)
-    return _below_facets(
-        Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack)), cloud, stack
-    )
+    found = Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack))
+    return _below_facets(found, cloud, stack) if has_edges else found
 
 
 def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
@@ -122,18 +123,20 @@ def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
     two of its edges.  Any other corner may be cut off by a facet that is not known.
     """
     planes, size = facets(cloud), float(np.linalg.norm(np.ptp(found.points, axis=0)))
-    if len(np.unique(on_planes(found.points, planes, size)[0])) <= len(found.points) / 2:
+    contacts = on_planes(found.points, planes, size)
+    if (share := len(np.unique(contacts[0])) / len(found.points)) <= 1 / 2:
         return found
     corners, contours, known = found.foot + found.away, found.contours, 0
     inner = hull(found.points).vertices.view(np.ndarray)
     outer = hull(np.concatenate([inner, corners])).vertices.view(np.ndarray)
     while len(planes) > known:
         left = clipped(outer, planes)
-        vertex, open_ = vertices_among(left, planes, found.points, size)
-        share = len(np.unique(on_planes(found.points, planes, size)[0])) / len(found.points)
+        vertex, open_ = vertices_among(left, planes, contacts, size)
         if known and share < _POLYHEDRON:
             break  # the facets of a fine mesh would be found one after another
         known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
+        contacts = on_planes(found.points, planes, size)
+        share = len(np.unique(contacts[0])) / len(found.points)
     inside, remain = (
         highest(planes, np.column_stack([points, -np.ones(len(points))])) < -NEGLIGIBLE * size
         for points in (corners, contours)

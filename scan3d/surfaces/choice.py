@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -146,13 +146,14 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
     by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
-    estimates, whole = _estimates(cloud, bounds, by_cells)
-    if whole is not None and whole.facets:
+    has_edges = cloud.fit is None
+    of_whole = cache(partial(_estimates, cloud, bounds, by_cells, has_edges))
+    if has_edges and (whole := of_whole()[1]) is not None and whole.facets:
         # held-out slices would say less of them: facets that one of the others has met alone are unknown then
         return _labelled(
             between(whole, UNKNOWN), "bracket", f"a polyhedron of {whole.facets} facets, on which the contacts lie"
         )
-    of_kept, _ = _estimates(kept, None, by_cells)
+    of_kept, _ = _estimates(kept, None, by_cells, has_edges)
     bent = next(iter(of_kept))
     errors = {bent: error_of_surface(of_kept.pop(bent)(), held_out)}
     if fit is not None and not cloud.noisy and fit.judged <= errors[bent].judged:
@@ -171,13 +172,15 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return _fitted(cloud, lie_within(fit))
     if regressed is not None and regressed.judged == least:
         return _regression(cloud, bounds, lie_within(regressed))
-    mesh = estimates[best]()
+    mesh = of_whole()[0][best]()
     if cloud.model == "spatial":
         mesh = _inside(bounds, mesh)
     return _labelled(mesh, "bracket", f"{best}: {lie_within(errors[best])}")
 
 
-def _estimates(cloud: Cloud, bounds: Enclosure | None, by_cells: bool) -> tuple[Estimates, Room | None]:
+def _estimates(
+    cloud: Cloud, bounds: Enclosure | None, by_cells: bool, has_edges: bool
+) -> tuple[Estimates, Room | None]:
     """The estimates from a cloud, each of which is computed when it is called, and the room between slices."""
     if cloud.model == "spatial":
         return {
@@ -185,7 +188,7 @@ def _estimates(cloud: Cloud, bounds: Enclosure | None, by_cells: bool) -> tuple[
             "convex hull of the contacts": partial(hull, cloud.points),
             "a polyhedron's, with sharp edges": partial(with_edges, cloud),
         }, None
-    found = room(cloud, bounds, by_cells=by_cells)
+    found = room(cloud, bounds, by_cells=by_cells, has_edges=has_edges)
     everywhere: Estimates = {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}
     if not len(found.contours):
         return everywhere, found
