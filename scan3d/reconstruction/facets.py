@@ -51,14 +51,15 @@ def on_planes(points: Array, planes: Array, size: float) -> tuple[Index, Index]:
     return point, plane
 
 
-def vertices_among(corners: Array, planes: Array, contacts: tuple[Index, Index], size: float) -> tuple[Mask, Mask]:
+def vertices_among(
+    corners: Array, planes: Array, contacts: tuple[Index, Index], size: float, *, simple: bool
+) -> tuple[Mask, Mask]:
     """Which corners (c, 3) of the body of planes (k, 4) are vertices of the true one, and in which others three of them meet.
 
-    contacts
-        the contacts `on_planes`.
-
-    More planes than three meet in a vertex, since others do not meet in one point.  So do three if contacts lie on two of the
-    edges: a facet that cut the corner off would have ends on these edges, where they go on to other facets' corners.
+    More planes than three meet in a vertex, since others do not meet in one point.  So do three if contacts, given with their
+    planes as `on_planes`, lie on two of the edges: a facet that cut the corner off would have ends on these edges, where they
+    go on to other facets' corners.  A `simple` polyhedron may be one in whose vertices three facets meet, most of which show
+    that: one of the edges is enough then.
     """
     corner, plane = on_planes(corners, planes, size)
     meeting = np.bincount(corner, minlength=len(corners))
@@ -69,8 +70,7 @@ def vertices_among(corners: Array, planes: Array, contacts: tuple[Index, Index],
     of_three = plane[np.isin(corner, three)].reshape(-1, 3)
     touched = np.isin(of_three[:, [0, 0, 1]] * len(planes) + of_three[:, [1, 2, 2]], edges).sum(axis=1)
     is_vertex = meeting > 3
-    simple = (touched > 1).sum() > is_vertex.sum()
-    is_vertex[three] = touched > (0 if simple else 1)
+    is_vertex[three] = touched > (0 if simple and (touched > 1).sum() > is_vertex.sum() else 1)
     return is_vertex, (meeting == 3) & ~is_vertex
 
 

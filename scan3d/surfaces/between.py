@@ -131,7 +131,7 @@ def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
     outer = hull(np.concatenate([inner, corners])).vertices.view(np.ndarray)
     while len(planes) > known:
         left = clipped(outer, planes)
-        vertex, open_ = vertices_among(left, planes, contacts, size)
+        vertex, open_ = vertices_among(left, planes, contacts, size, simple=share >= _POLYHEDRON)
         if known and share < _POLYHEDRON:
             break  # the facets of a fine mesh would be found one after another
         known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
