@@ -20,9 +20,9 @@ distributed over the slab:
   d τl/4 below the apex, where 2l is the length of the arc relative to d.  If the slope of the straight part falls slightly
   towards the slab, the arc has begun before the slice.
 
-Three slices on either side may mislead, so that the same fraction of the way to the corners is tried everywhere as well: which
-of them predicts held-out slices best is found by cross-validation.  In the cells between slices along several axes there is no
-other estimate.  Past the end slices nothing tells where the body ends, and half way the error is at most half the gap.
+Three slices on either side may mislead, so that the middle between this fraction and one half, at which the error is at most
+half the gap, is tried as well: which predicts held-out slices better is found by cross-validation.  In the cells between slices
+along several axes the same fraction is tried everywhere.  Past the end slices nothing tells where the body ends: one half.
 
 Of contacts anywhere, with normals: between neighbouring contacts i and j of a curved surface the middle of the chord lies
 ``<n_j - n_i, p_j - p_i> / 8`` below the surface, to the third order of the chord's length.  A surface with edges is estimated
@@ -52,9 +52,11 @@ from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among
 from scan3d.reconstruction.slices import SliceStack, stacks
 
-FRACTIONS = (0.25, 0.0, 0.5, 1.0)
-"""Fractions of the way from the hull of the contacts to the corners of the outer body that are tried, first that at which an
-evenly bent body passes; 0 is the hull alone, and a polyhedron passes at 1."""
+EVEN = 0.25
+"""The fraction at which an evenly bent body passes the corners between evenly spaced slices, as a parabola does."""
+FRACTIONS = (EVEN, 0.0, 0.5, 1.0)
+"""Fractions of the way from the hull of the contacts to the corners of cells that are tried: 0 is the hull alone, and a
+polyhedron passes at 1."""
 UNKNOWN = 0.5
 """The fraction where nothing tells how far the body reaches: the error is at most half the gap."""
 
@@ -232,14 +234,14 @@ class _Turn:
     """l, half the length of the arc about the tangents' apex, divided by d."""
 
     def fraction(self) -> Array:
-        """Height of h above the chord at the tangents' apex, divided by that of the secants' apex; `UNKNOWN` if not known.
+        """Height of h above the chord at the tangents' apex, divided by that of the secants' apex; `EVEN` if not known.
 
         That is ``(ρφ/τ - τl/4) / secant_apex``, clipped to the interval from 0 to 1.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             turn = self.rise + self.fall
             fraction = (self.rise * self.fall / turn - turn * self.half_arc / 4) / self.secant_apex
-        return np.where(np.isfinite(fraction), np.clip(fraction, 0.0, 1.0), UNKNOWN)
+        return np.where(np.isfinite(fraction), np.clip(fraction, 0.0, 1.0), EVEN)
 
     def above_chord(self, up: float) -> Array:
         """Height (n,) of h above the chord at the fraction `up` of the thickness, u.

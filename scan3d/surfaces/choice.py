@@ -189,14 +189,12 @@ def _estimates(
             "a polyhedron's, with sharp edges": partial(with_edges, cloud),
         }, None
     found = room(cloud, bounds, by_cells=by_cells, has_edges=has_edges)
-    everywhere: Estimates = {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}
     if not len(found.contours):
-        return everywhere, found
+        return {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}, found
+    by_slopes = "as far from the contacts' hull as the slopes of neighbouring slices tell"
     return {
-        "as far from the contacts' hull as the slopes of neighbouring slices tell": partial(
-            between, found, found.local
-        ),
-        **everywhere,
+        by_slopes: partial(between, found, found.local),
+        f"{by_slopes}, and half way from there to the middle": partial(between, found, (found.local + UNKNOWN) / 2),
     }, found
 
 
