@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ class Log:
 def read_log(table: Table, map: Map) -> Log:
     """The quantities of a table.  Raises InputError with the file, the line and the column of what can't be right."""
     columns = map.columns
-    position = _vectors(table, map, columns.position, 3, "length", "position")
+    position = _vectors(table, map, columns.position, "length", "position")
     orientation = _orientation(table, map, columns.orientation)
     wrench, present = _wrench(table, map)
     time = None if columns.time is None else _time(table, map, columns.time)
@@ -95,10 +94,10 @@ def _wrench(table: Table, map: Map) -> tuple[Array, Mask]:
     columns = map.columns
     if not columns.signals:
         both = ((columns.force, "force"), (columns.moment, "moment"))
-        parts = [_vectors(table, map, references, 3, entry, entry) for references, entry in both]
-        known = [len(one) == 1 or one[axis] != "" for one, _ in both for axis in range(3)]
+        parts = [_vectors(table, map, references, entry, entry) for references, entry in both]
+        known = [one[axis] != "" for one, _ in both for axis in range(3)]
         return np.concatenate(parts, axis=1), np.array(known)
-    signals = _vectors(table, map, columns.signals, len(map.offset), "", "signals")
+    signals = _vectors(table, map, columns.signals, "", "signals")
     present: Mask = np.isin(np.arange(6), (0, 1, 5)) | (len(map.matrix) == 6)
     wrench = np.zeros((len(table), 6))
     wrench[:, present] = (signals - map.offset) @ np.array(map.matrix).T
@@ -147,7 +146,7 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
             "the line of the names as header under [table]"
         )
     bare, sign = (reference[1:], -1.0) if reference.startswith("-") and reference not in names else (reference, 1.0)
-    found = [k for k, name in enumerate(names) if name == bare] or _matching(names, bare)
+    found = [k for k, name in enumerate(names) if name == bare]
     if len(found) == 1:
         return found[0], sign
     line = f"{table.name}: line {table.layout.header}" if table.layout and table.layout.header else table.name
@@ -162,27 +161,6 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
     raise InputError(f"{line} has no column {reference!r}, which {where} names; it has {listed}{near}")
 
 
-def _matching(names: Sequence[str], pattern: str) -> list[int]:
-    return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)] if set(pattern) & set("*?") else []
-
-
-def _expanded(
-    table: Table, map: Map, references: tuple[Reference, ...], count: int, entry: str
-) -> tuple[Reference, ...]:
-    """The references, with a single pattern replaced by the columns that it finds, in the table's order."""
-    first = references[0]
-    if len(references) == count or not isinstance(first, str):
-        return references
-    sign = "-" if first.startswith("-") else ""
-    names = [table.names[k] for k in _matching(table.names, first.removeprefix("-"))]
-    if len(names) != count:
-        found = f"finds {', '.join(names)}" if names else "finds no column"
-        raise InputError(
-            f"{table.name}: the pattern {first!r} in {_entry(map, entry)} {found}, where {count} are expected"
-        )
-    return tuple(sign + name for name in names)
-
-
 def _numbers(table: Table, map: Map, reference: Reference, quantity: str, entry: str) -> Array:
     if reference == "":
         return np.zeros(len(table))
@@ -194,16 +172,14 @@ def _numbers(table: Table, map: Map, reference: Reference, quantity: str, entry:
     return values if factor == 1.0 else values * factor
 
 
-def _vectors(table: Table, map: Map, references: tuple[Reference, ...], count: int, quantity: str, entry: str) -> Array:
-    names = _expanded(table, map, references, count, entry)
-    return np.stack([_numbers(table, map, name, quantity, entry) for name in names], axis=1)
+def _vectors(table: Table, map: Map, references: tuple[Reference, ...], quantity: str, entry: str) -> Array:
+    return np.stack([_numbers(table, map, name, quantity, entry) for name in references], axis=1)
 
 
 def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
     """The columns (n, k) of the orientation: of a quaternion, or of angles in radians."""
-    count = {"quaternion": 4, "rotvec": 3, "matrix": 9}.get(orientation.kind, len(orientation.convention))
     quantity = "" if orientation.kind in ("quaternion", "matrix") else "angle"
-    values = _vectors(table, map, orientation.columns, count, quantity, f"orientation.{orientation.kind}")
+    values = _vectors(table, map, orientation.columns, quantity, f"orientation.{orientation.kind}")
     # angles count on beyond a turn on some rigs, but not so many
     if quantity and (largest := float(np.nanmax(np.abs(values), initial=0.0))) > 1e6:
         raise InputError(

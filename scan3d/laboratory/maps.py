@@ -23,7 +23,7 @@ from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, spelled
 
 Reference = str | int
-"""A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and
+"""A column: its name, or its number from 1; with ``-`` before a name its sign is reversed, and
 an empty text stands for a column that does not exist."""
 
 ORIENTATIONS = ("quaternion", "euler", "rotvec", "matrix")
@@ -245,13 +245,10 @@ def _transducer(
             )
         return (), ()
     rows = section.any("matrix")
-    right = (
-        isinstance(rows, (list, tuple)) and len(rows) in (3, 6) and all(isinstance(row, (list, tuple)) for row in rows)
-    )
-    count = len(rows[0]) if right else 0
-    if len(signals) > 1 or not isinstance(signals[0], str) or not set(signals[0]) & set("*?"):
-        right = right and count == len(signals)
-    if not right or not all(len(row) == count and all(map(is_finite, row)) for row in rows):
+    right, count = isinstance(rows, (list, tuple)) and len(rows) in (3, 6), len(signals)
+    if not right or not all(
+        isinstance(row, (list, tuple)) and len(row) == count and all(map(is_finite, row)) for row in rows
+    ):
         raise section.error(
             "matrix",
             "must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with a number for each of the signals; "
@@ -266,17 +263,13 @@ def _reference(section: Section, key: str) -> Reference | None:
 
 
 def _references(section: Section, key: str, counts: Sequence[int]) -> tuple[Reference, ...]:
-    """Columns in a list of one of the given lengths, or a single pattern that stands for all of them."""
+    """Columns in a list of one of the given lengths."""
     wanted = " or ".join(map(str, counts))
     value = section.any(key)
     if value is None:
         raise section.error(key, f"is missing; it names {wanted} columns of the table")
-    if isinstance(value, str) and any(sign in value for sign in "*?"):
-        return (value,)
     if not isinstance(value, (list, tuple)) or len(value) not in counts:
-        raise section.error(
-            key, f"must be a list of {wanted} columns, or a pattern such as 'F*' that finds them; got {value!r}"
-        )
+        raise section.error(key, f"must be a list of {wanted} columns; got {value!r}")
     return tuple(_column(section, key, one) for one in value)
 
 
@@ -289,10 +282,8 @@ def _column(section: Section, key: str, value: Any) -> Reference:
 
 
 def _channels(section: Section, key: str, places: Mapping[int, tuple[int, ...]]) -> tuple[Reference, ...]:
-    """Three references, empty where the sensor has no such channel; or a pattern."""
+    """Three references, empty where the sensor has no such channel."""
     given = _references(section, key, tuple(places))
-    if isinstance(section.any(key), str):
-        return given
     axes = places[len(given)]
     return tuple(given[axes.index(axis)] if axis in axes else "" for axis in range(3))
 
