@@ -117,6 +117,7 @@ class Outlines:
         self.is_vertex = self.intervals == 0
         self.is_closed = (pieces == 1)[loop_of]
         self.is_curved = ~self.is_vertex & (self.is_arc | self.is_closed | self.cubics[self.first, 2:].any(axis=(1, 2)))
+        self._bends = bool(self.is_curved.any())
         within = np.arange(len(loop_of)) - start[loop_of]
         self.following = start[loop_of] + (within + 1) % pieces[loop_of]
         self.previous = start[loop_of] + (within - 1) % pieces[loop_of]
@@ -154,10 +155,13 @@ class Outlines:
         count = np.maximum(self.intervals[carrier], 1)
         interval = np.clip(np.nan_to_num(np.floor(w * count)), 0, count - 1).astype(np.intp)
         f = (w * count - interval)[:, None]
-        c = self.cubics[self.first[carrier] + interval]
-        point = ((c[:, 3] * f + c[:, 2]) * f + c[:, 1]) * f + c[:, 0]
-        d1 = ((3 * c[:, 3] * f + 2 * c[:, 2]) * f + c[:, 1]) * count[:, None]
-        d2 = (6 * c[:, 3] * f + 2 * c[:, 2]) * count[:, None] ** 2
+        rows = self.first[carrier] + interval
+        c = self.cubics[rows] if self._bends else self.cubics[rows, :2]
+        point, d1, d2 = c[:, 1] * f + c[:, 0], c[:, 1] * count[:, None], np.zeros((1, 2))
+        if self._bends:
+            point = ((c[:, 3] * f + c[:, 2]) * f + c[:, 1]) * f + c[:, 0]
+            d1 = ((3 * c[:, 3] * f + 2 * c[:, 2]) * f + c[:, 1]) * count[:, None]
+            d2 = (6 * c[:, 3] * f + 2 * c[:, 2]) * count[:, None] ** 2
         arc = self.is_arc[carrier]
         if arc.any():
             axes, around = self.axes[carrier[arc]], 2 * np.pi * w[arc, None]

@@ -6,17 +6,41 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any
 
-from scan3d.processes import ALGEBRA, end
+from scan3d.processes import ALGEBRA, end, undone_if_ended
 
 # What libraries read when they start: the number of threads of linear algebra, of OpenMP and of Mesa's software renderer.
 _THREADS = (*ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS")
+_STARTING = threading.Lock()
+
+
+def shared(function: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any], least: int) -> list[Any]:
+    """`function(items)`, which has a result for each item, computed part by part in as many processes as there are cores.
+
+    The parts, of so many items at `least`, and with them the results, do not depend on the number of processes.  In a worker,
+    beside which others have the other cores, all is computed here, as is the part of a process that is lost.
+    """
+    count = max(len(items) // least, 1)
+    ends = [len(items) * k // count for k in range(count + 1)]
+    parts = [items[begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    used = 1 if multiprocessing.parent_process() else min(cores, count)
+    with Workers(max(used - 1, 1)) as workers, undone_if_ended(workers.kill):
+        asked = {k: workers.submit(function, parts[k]) for k in range(count) if k % used}
+        found = {k: function(parts[k]) for k in range(0, count, used)}
+        for k, answer in asked.items():
+            try:
+                found[k] = answer.result()
+            except BrokenExecutor:
+                found[k] = function(parts[k])
+    return [result for k in range(count) for result in found[k]]
 
 
 class Workers(Executor):
@@ -47,7 +71,13 @@ class Workers(Executor):
             if pool is None:
                 # a fork would copy the locks of threads
                 pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _get_ready)
-                pid = pool.submit(os.getpid).result()
+                with _STARTING:  # a script that calls this is not to be run again by its children
+                    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+                    try:
+                        asked = pool.submit(os.getpid)
+                    finally:
+                        sys.modules["__main__"] = main
+                pid = asked.result()
                 self._of_thread.pool, self._of_thread.pid, self._all[pid] = pool, pid, pool
                 if self._is_over:  # while it was being started
                     self.kill()

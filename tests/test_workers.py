@@ -79,3 +79,29 @@ def test_workers_end_with_a_process_that_is_killed():
         assert is_alive(pid)
         parent.kill()
     assert gone(pid)
+
+
+def test_shared_work_runs_no_script_twice_and_survives_the_loss_of_a_process(tmp_path):
+    """A script without ``if __name__ == "__main__"``: its results are those of one process, item by item."""
+    (tmp_path / "squares.py").write_text(
+        "import multiprocessing, os\n"
+        "def squares(items):\n"
+        "    child = multiprocessing.parent_process() is not None\n"
+        "    if child and 9 in items:\n"
+        "        os._exit(1)\n"
+        "    return [(item**2, child) for item in items]\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys\n"
+        "print('begins', flush=True)\n"
+        f"sys.path.append({str(tmp_path)!r})\n"
+        "from scan3d.workers import shared\n"
+        "from squares import squares\n"
+        "os.sched_getaffinity = lambda _: {0, 1, 2}\n"
+        "found = shared(squares, list(range(12)), 2)\n"
+        "assert found[4:6] == [(16, True), (25, True)]\n"
+        "print([square for square, _ in found], shared(squares, [3], 2))\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["begins", f"{[k**2 for k in range(12)]} [(9, False)]"]

@@ -25,7 +25,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ranges
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -44,7 +44,7 @@ _CELLS, _FINEST = 3, 400
 # Travel of the rod's end, in steps of the base, beyond which it has snapped.
 _SNAPPED = 5.0
 # Cells by which a contact may lie inside free space, by the cells' size and the rods' chords; deeper ones contradict it.
-_CONTRADICTED = 2.0
+_DEEPER = 2
 # Neighbours in the plane of a slice.
 _IN_PLANE = np.zeros((3, 3, 3), dtype=bool)
 _IN_PLANE[1] = ndimage.generate_binary_structure(2, 1)
@@ -242,12 +242,13 @@ def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float,
         lines = (clamp[:, None] + rods.line[some] @ axes) / cell + (len(across) - 1) / 2
         # rows that follow one another in the recording, of which the last of a step may be missing here
         on = rods.on[some] & (np.append(np.diff(some), 0) == 1)
-        passed = _passed(lines, on, rods.bulge[some] / cell, place[rods.slice[some]], len(height), len(across))
+        present, sheet = np.unique(place[rods.slice[some]], return_inverse=True)
+        passed = _passed(lines, on, rods.bulge[some] / cell, sheet, len(present), len(across))
         column, row = (
             np.round((turn[k, 0] * x + turn[k, 1] * y[:, None]) / cell + (len(across) - 1) / 2).astype(int)
             for k in (0, 1)
         )
-        free |= passed[:, row, column]
+        free[present] |= passed[:, row, column]
     solid = ~free
     for k in range(len(height)):
         solid[k] &= _in_hull((flat[place[cloud.slice] == k] - origin) / cell, shape)
@@ -259,33 +260,46 @@ def _passed(lines: Array, on: Mask, bulge: Array, sheet: Index, sheets: int, siz
     n, points = lines.shape[:2]
     rising = np.cumprod(np.nan_to_num(np.diff(lines[..., 1], axis=1), nan=-1.0) > 0, axis=1).astype(bool)
     top = lines[np.arange(n), rising.sum(axis=1)]
-    # where each rod crosses the rows of the grid
-    begin = np.clip(np.floor(np.nan_to_num(lines[:, :-1, 1])).astype(int) + 1, 0, size)
-    end = np.clip(np.floor(np.nan_to_num(lines[:, 1:, 1])).astype(int) + 1, 0, size)
-    count = np.where(rising, np.maximum(end - begin, 0), 0).ravel()
-    segment = np.repeat(np.arange(n * (points - 1)), count)
-    row = begin.ravel()[segment] + np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    # where each rod crosses the rows of the grid, one row after the other
+    row = np.clip(np.floor(np.nan_to_num(lines[..., 1])).astype(int) + 1, 0, size)
+    count = np.where(rising, np.maximum(np.diff(row, axis=1), 0), 0)
+    segment, after = ranges(count.ravel())
     rod, k = np.divmod(segment, points - 1)
     a, b = lines[rod, k], lines[rod, k + 1]
-    crossing = np.full((n, size), np.nan)
-    crossing[rod, row] = a[:, 0] + (row - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    crossing = a[:, 0] + (row[rod, k] + after - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    first, number = row[:, 0], count.sum(axis=1)
+    last, offset = first + number, np.cumsum(number) - number - first
+
+    # up to where the path of the ends may come, the rods are the border of what they have passed
+    pair = np.flatnonzero(on)
+    lower, upper = np.maximum(first[pair], first[pair + 1]), np.minimum(last[pair], last[pair + 1])
+    near = np.ceil(np.minimum(top[pair, 1], top[pair + 1, 1]) - bulge[pair]).clip(0, size).astype(int)
+    p, r = ranges(np.maximum(np.minimum(upper, near) - lower, 0))
+    r += lower[p]
+    one, other = crossing[offset[pair[p]] + r], crossing[offset[pair[p] + 1] + r]
+    bands = [(p, r, np.minimum(one, other), np.maximum(one, other))]
 
     # the shorter rod of each step ends at the chord of the ends' path, next to which nothing is claimed
-    pair = np.flatnonzero(on)
     chord = top[pair + 1] - top[pair]
-    rises, rows = (chord[:, 1] > 0)[:, None], np.arange(size)
-    long, short = (np.where(rises, crossing[pair + k], crossing[pair + 1 - k]) for k in (1, 0))
+    rises = chord[:, 1] > 0
+    long, short = np.where(rises, pair + 1, pair), np.where(rises, pair, pair + 1)
+    begin = np.maximum(first[long], near)
+    p, r = ranges(np.maximum(last[long] - begin, 0))
+    r += begin[p]
+    on_short = (r >= first[short[p]]) & (r < last[short[p]])
+    one = crossing[offset[long[p]] + r]
+    other = np.where(on_short, crossing[np.where(on_short, offset[short[p]] + r, 0)], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        path = top[pair, :1] + (rows - top[pair, 1:]) * (chord[:, :1] / chord[:, 1:])
-        side = np.where(long > path, 1.0, -1.0)
-        limit = path + side * (bulge[pair] * np.hypot(*chord.T) / np.abs(chord[:, 1]))[:, None]
-        near = rows >= (np.minimum(top[pair, 1], top[pair + 1, 1]) - bulge[pair])[:, None]
-        short = np.where(near, side * np.fmax(side * short, side * limit), short)
-        known = np.isfinite(long + short) & ~(near & ~(side * (long - short) > 0))
-    left, right = np.minimum(long, short), np.maximum(long, short)
-    p, r = np.nonzero(known)
-    start = np.clip(np.ceil(left[p, r]), 0, size).astype(int)
-    stop = np.clip(np.floor(right[p, r]) + 1, 0, size).astype(int)
+        path = top[pair[p], 0] + (r - top[pair[p], 1]) * (chord[p, 0] / chord[p, 1])
+        side = np.where(one > path, 1.0, -1.0)
+        limit = path + side * (bulge[pair] * np.hypot(*chord.T) / np.abs(chord[:, 1]))[p]
+        other = side * np.fmax(side * other, side * limit)
+        known = side * (one - other) > 0
+    bands.append((p[known], r[known], np.minimum(one, other)[known], np.maximum(one, other)[known]))
+
+    p, r, left, right = (np.concatenate(columns) for columns in zip(*bands, strict=True))
+    start = np.clip(np.ceil(left), 0, size).astype(int)
+    stop = np.clip(np.floor(right) + 1, 0, size).astype(int)
     some = stop > start
     line_of = (sheet[pair[p]] * size + r)[some] * (size + 1)
     total = sheets * size * (size + 1)
@@ -322,9 +336,13 @@ def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
 def contradicted(sheets: list[Sheets], cloud: Cloud) -> Mask:
     """Contacts (n,) that lie in the free space of their own slice, which no contact does."""
     wrong = np.zeros(len(cloud), dtype=bool)
+    around = np.indices((2 * _DEEPER + 1,) * 2).reshape(2, -1) - _DEEPER
+    around = around[:, np.hypot(*around) <= _DEEPER + 0.5]
     for sheet in sheets:
-        rows, index = _cells(sheet, cloud)
-        wrong[rows] = _depth(sheet.free, 1.0)[tuple(index)] > _CONTRADICTED
+        rows, (number, y, x) = _cells(sheet, cloud)
+        wrong[rows] = np.pad(sheet.free, ((0, 0), (_DEEPER,) * 2, (_DEEPER,) * 2), constant_values=True)[
+            number[:, None], y[:, None] + around[0] + _DEEPER, x[:, None] + around[1] + _DEEPER
+        ].all(axis=1)
     return wrong
 
 

@@ -11,7 +11,9 @@ the sensor or the poses are not as stated; then much of what one sweep touches a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,6 +24,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
+from scan3d.workers import shared
 
 # Share of the contacts that may lie in what other sweeps have passed, because they are those of rods with two contacts; larger
 # shares are those of a wrong rig.
@@ -30,6 +33,8 @@ _SECOND = 0.15
 _DEVIATIONS = 5.0
 # Steps of the base within which another contact confirms one.
 _NEIGHBOURS = 5.0
+# Slices that are worth another process.
+_SLICES = 16
 # Contacts around one that tell how steep the surface is there, across its slice.
 _AROUND = 12
 
@@ -120,11 +125,16 @@ class _Rows:
         A rod that looks as if it touched elsewhere than it does passes many contacts that others have found, or its contact
         lies where many rods have been.
         """
-        asked = self.touching & ~refused
+        found = np.zeros(len(refused), dtype=bool)
+        for rows in shared(partial(self._contradicting, self.touching & ~refused), self._slices(), _SLICES):
+            found[rows] = True
+        return found
+
+    def _contradicting(self, asked: Mask, slices: Sequence[tuple[Array, list[Index]]]) -> list[Index]:
         single = asked | ~self.pressed
         error = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf)
-        found = np.zeros(len(asked), dtype=bool)
-        for plane, members in self._slices():
+        found: list[Index] = []
+        for plane, members in slices:
             rows = np.concatenate(members)
             rows = rows[asked[rows]]
             points = self._in_plane(self.found.point[rows], rows, plane)
@@ -143,7 +153,7 @@ class _Rows:
                     point_error=error[rows],
                 )
                 pairs.append(np.stack([sweep[rod], rows[point]]))
-            found |= _cover(np.concatenate(pairs, axis=1), self.pressed)
+            found.append(np.flatnonzero(_cover(np.concatenate(pairs, axis=1), self.pressed)))
         return found
 
     def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:

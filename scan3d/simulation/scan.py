@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,11 +42,14 @@ from scan3d.simulation.grown import grown_extent, sections
 from scan3d.simulation.spatial import simulate_spatial
 from scan3d.spatial.march import free_reactions
 from scan3d.units import UNITS_M
+from scan3d.workers import shared
 
 Progress = Callable[[int, int], None]
 
 # Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.
 _ROUNDS = 2
+# Sweeps of bodies that are not convex that are stepped together at least: fewer take longer for each.
+_TOGETHER = 192
 # Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.
 _BEYOND = 0.2
 
@@ -103,7 +106,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
                 progress(before + min(done, plan.slices), count)
 
         first = first_heights(*scan.extent, plan)
-        # rods of bodies that are not convex are followed step by step together
+        # rods of bodies that are not convex are followed together, and by several processes
         together = (16, 64)[not convex]
         for start in range(0, len(first), together):
             scan.scan(first[start : start + together])
@@ -407,7 +410,11 @@ class AxisScan:
             contours, shares = [self._contour(i, line) for i, _, line in aims], base_fractions(samples)
             down = self.plan.down(np.array([clamp_axes(line, self.frame) for *_, line in aims]))
             rod = None if self.plan.rod is None else self.plan.rod.in_plane(down)
-            results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
+            if self.convex:
+                results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
+            else:
+                sweeps = list(zip(contours, friction, strict=True))
+                results = shared(partial(_sweep_together, shares=shares), sweeps, _TOGETHER)
         except InputError:
             raise
         except ValueError as error:
@@ -433,6 +440,11 @@ class AxisScan:
         width = float(np.ptp(self.outline(i), axis=0).max())
         further = further_directions(np.concatenate(points), np.concatenate(normals), width, limit)
         return further[: max(MAX_SWEEPS - len(done), 0)]
+
+
+def _sweep_together(sweeps: Sequence[tuple[planar.Contour, Array]], shares: Array) -> list[planar.Sweep]:
+    contours, friction = zip(*sweeps, strict=True)
+    return planar.sweep_all(contours, friction, shares=shares)
 
 
 def width_of(mesh: Any, frame: Array) -> float:

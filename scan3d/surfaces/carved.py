@@ -269,11 +269,11 @@ def _mesh(vertices: Array, faces: Index) -> Any:
 
 def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, gap: float) -> NDArray[np.int8]:
     """(n,) class of points (n, 3) of the surface."""
-    distance = cKDTree(contacts).query(points)[0]
-    known = np.where(distance <= spacing, KNOWN, np.where(distance <= max(gap, spacing), ESTIMATED, UNKNOWN))
+    distance = cKDTree(contacts).query(points, distance_upper_bound=np.nextafter(max(gap, spacing), np.inf))[0]
+    known = np.where(distance <= spacing, KNOWN, np.where(np.isfinite(distance), ESTIMATED, UNKNOWN))
+    asked = np.flatnonzero(known == ESTIMATED)
     if len(unreached):
-        nearer = cKDTree(unreached).query(points, distance_upper_bound=float(distance.max()) + spacing)[0] < distance
-        known[nearer & (known == ESTIMATED)] = UNKNOWN
+        known[asked[cKDTree(unreached).query(points[asked])[0] < distance[asked]]] = UNKNOWN
     return known.astype(np.int8)
 
 
