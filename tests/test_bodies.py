@@ -178,6 +178,7 @@ def test_glb_is_read_as_its_specification_says(tmp_path, name):
     ("changed", "why"),
     [
         (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compr"),
+        (lambda tree: tree["bufferViews"][0].update(byteStride=16, byteLength=168), "leave the box that it states"),
         (lambda tree: tree["buffers"][0].update(uri="box.bin"), "its data lie in another place, box.bin"),
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=5), "stored as strips or fans"),
         (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "without sparse accessors"),

@@ -190,6 +190,15 @@ class _Content:
         """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles."""
         position = self._tree["accessors"][primitive["attributes"]["POSITION"]]
         stored = self._values(position)
+        if "min" in position and "max" in position and len(stored):
+            low, high = np.array(position["min"], dtype=float), np.array(position["max"], dtype=float)
+            off = np.abs([stored.min(axis=0) - low, stored.max(axis=0) - high]).max()
+            # some programs round the size
+            if off > 0.01 * np.linalg.norm(high - low):
+                raise InputError(
+                    f"its positions leave the box that it states for them by {off:.3g}: it is damaged, or its byteStride is "
+                    "wrong; export it again"
+                )
         points = stored.astype(float)
         if position.get("normalized"):
             points = np.maximum(points / np.iinfo(stored.dtype).max, -1.0)
