@@ -98,6 +98,10 @@ class Session(Described):
 
         Raises InputError for a recording with another rod, unit or table, or without the axes that the model needs.
         """
+        if not isinstance(recording, Recording):
+            raise InputError(
+                f"tell a scan3d.Recording, got {type(recording).__name__}; scan3d.read_recording reads a file"
+            )
         if self.plan.model == "spatial":
             recording.wrench()
         if recording.unit != self.plan.unit:
