@@ -9,7 +9,7 @@ import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.geometry.hulls import hull
 from scan3d.pipeline import analyse
-from scan3d.reconstruction.facets import completed, facets, with_facet_normals
+from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
 pytestmark = pytest.mark.slow
@@ -120,3 +120,15 @@ def test_past_the_end_slices_a_polyhedron_ends_half_way():
     found = analyse(scan3d.simulate(mesh, scan3d.Plan(slices=12)), mesh)
     assert found.comparison.hausdorff == pytest.approx(found.bounds.bound / 2, rel=1e-3)
     assert found.certificate.bound == pytest.approx(found.bounds.bound / 2, rel=1e-3)
+
+
+def test_a_corner_with_one_edge_touched_is_a_vertex_of_a_polyhedron_only():
+    """Flat sides of a rounded body would meet in corners that it does not have."""
+    planes = np.vstack([np.eye(3, 4), -np.eye(3, 4)])
+    planes[:3, 3] = 1.0
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    touched = on_planes(np.array([[0.5, 0, 0], [0, 0.5, 0]]), planes, 1.0)
+    for simple, found in ((False, [[0, 0, 0]]), (True, [[0, 0, 0], [0, 1, 0], [1, 0, 0]])):
+        is_vertex, is_open = vertices_among(corners, planes, touched, 1.0, simple=simple)
+        assert corners[is_vertex].tolist() == found
+        assert (is_vertex ^ is_open).all()
