@@ -504,9 +504,9 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
         shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"
         where = "nothing unknown"
         if unknown:
-            place, unit = lengths(unknown[0]["center"], data["certificate"]["unit"])
+            (wide, *place), unit = lengths([unknown[0]["extent"], *unknown[0]["center"]], data["certificate"]["unit"])
             left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
-            where = f"{left} unknown, in {len(unknown)} patches, the largest at ({', '.join(place)}) {unit}"
+            where = f"{left} unknown, in {len(unknown)} patches, the largest {wide} {unit} wide at ({', '.join(place)})"
         rows.append(("surface known", f"{shares}, {where}"))
     return rows
 

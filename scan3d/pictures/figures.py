@@ -151,7 +151,7 @@ def nice(length: float) -> float:
 
 
 def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> float:
-    """The scale of some colours at the right edge, with its title.
+    """The scale of some colours at the right edge, with its title, or their kinds.
 
     `unknown` is the label of grey, if it occurs.  Returns how much of the width is left of it.
     """
@@ -159,6 +159,9 @@ def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> fl
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
 
+    if shaded.norm is None:
+        kinds = [(name, color, "s") for name, color in shaded.kinds]
+        return float(box_of(figure, legend(figure, kinds, 1, sheet.font)).x0)
     width, height = figure.get_size_inches()
     place = [0.0, 0.15, 1.05 * sheet.em / width, 0.70]
     bar = figure.colorbar(ScalarMappable(shaded.norm, shaded.map), cax=figure.add_axes(place))
@@ -169,10 +172,7 @@ def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> fl
         bar.formatter.set_powerlimits((-4, 5))
         bar.formatter.set_useMathText(True)
         bar.ax.yaxis.get_offset_text().set_fontsize(sheet.font - 1)
-    if shaded.names:
-        bar.set_ticks([value for value, _ in shaded.names], labels=[name for _, name in shaded.names])
-    title = "" if shaded.names else wrapped(shaded.title, height, sheet)
-    bar.set_label(title, fontsize=sheet.font, labelpad=0.6 * sheet.font)
+    bar.set_label(wrapped(shaded.title, height, sheet), fontsize=sheet.font, labelpad=0.6 * sheet.font)
     box = box_of(figure, bar.ax)
     margin = _MARGIN * sheet.em
     bar.ax.set_position([(width - margin - box.x1) / width, *place[1:]])

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import planar
 from scan3d.arrays import Array, weighted_quantiles
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
@@ -135,7 +134,7 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
         "kind": "points",
         "on": True,
         "points": _array(scene.points - center),
-        "colors": [_scale(parts.shade_contacts(scene, color), alike) for color in known],
+        "colors": [_scale(parts.shade_contacts(scene, color, parts.ON_DEVIATION), alike) for color in known],
         "columns": {name: values.astype(int).tolist() for name, values in names.items() if values is not None},
         "color": parts.ON_DEVIATION[0],
     }
@@ -156,9 +155,9 @@ def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
     from matplotlib.colors import to_hex
 
     if shaded.norm is None:
-        kinds = [[name, color] for name, color in zip(("tangential", "tip"), parts.ON_DEVIATION, strict=True)]
-        values = _array(planar.Phase.TANGENTIAL - shaded.values)
-        return {"title": "kind of contact", "kinds": kinds, "values": values}
+        sizes = np.bincount(shaded.values, weights, len(shaded.kinds)) / weights.sum()
+        kinds = [[*kind, size] for kind, size in zip(shaded.kinds, sizes.tolist(), strict=True)]
+        return {"title": shaded.title, "kinds": kinds, "values": _array(shaded.values)}
     stops = [to_hex(color) for color in colormaps[shaded.map](np.linspace(0, 1, 33))]
     known = np.isfinite(shaded.values)
     shown, counts = shaded.values[known], weights[known]

@@ -52,10 +52,7 @@ function legend(place, layer) {
   place.replaceChildren();
   if (!scale) return;
   if (scale.kinds) {
-    scale.kinds.forEach(([text, color], kind) => {
-      const count = scale.values.filter(value => value === kind).length;
-      dotted(place, color, `${text}: ${count} (${percent(count / scale.values.length)})`);
-    });
+    for (const [text, color, size] of scale.kinds) dotted(place, color, `${text}: ${percent(size)} ${what}`);
     return;
   }
   const {shares, quantiles, unknown} = scale, most = Math.max(...shares), bars = add(place, "div", "histogram");

@@ -45,7 +45,7 @@ const coordinate = v => String(+v.toFixed(decimals) || 0).replaceAll("-", "−")
 const placeText = p => p.map((v, i) => "xyz"[i] + " = " + coordinate(v + data.center[i]));
 const valueText = ({title, ...scale}, value) => {  // "name: value unit" of a title "name in unit"; bounds are rounded up
   const [, name, unit] = title.match(/^(.*?)(?: in (\S+))?$/), size = data.units.find(([symbol]) => symbol === unit)?.[1];
-  if (scale.kinds) return name + ": " + scale.kinds[value][0];
+  if (scale.kinds) return name + ": " + scale.kinds[Math.round(value)][0];
   if (!isFinite(value)) return name + ": unknown";
   return name + ": " + (size ? lengthText(value * size, 3, name.startsWith("certified"))
     : valueOf(scale, value) + (unit ? " " + unit : ""));

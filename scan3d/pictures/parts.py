@@ -27,6 +27,7 @@ ON_DEVIATION = "#161616", "#ffd60a"
 # Reactions of the rod, the contacts of the sweep that is shown, and the curves of components along x, y and z.
 FORCE, SELECTED, REACTION_COLORS = "#8e24aa", "#00c853", (ROD, TIP, TANGENTIAL)
 UNKNOWN, NORMAL, SLICE, EDGE, BACKDROP, BOUND = "#9a9a9a", "#6b6b6b", "#5b6672", "#4a4f55", "#eef0f3", "#3f9e8f"
+ESTIMATED = "#e6d8b8"
 
 
 class Shade(NamedTuple):
@@ -39,9 +40,9 @@ class Shade(NamedTuple):
     title: str
     map: str
     norm: Any
-    """A matplotlib norm; None for kinds of contact."""
-    names: tuple[tuple[float, str], ...] = ()
-    """Values that stand for classes, and what these are called."""
+    """A matplotlib norm; None for kinds."""
+    kinds: tuple[tuple[str, str], ...] = ()
+    """Names and colours of the kinds that the values number."""
 
 
 def largest_known(values: Array) -> float:
@@ -62,8 +63,19 @@ def shade(values: Array, title: str, low: float, high: float, *, map: str = "vir
     return Shade(values, (255 * rgb + 0.5).astype(np.uint8), title, map, norm)
 
 
-def shade_contacts(scene: Scene, color: str) -> Shade:
-    """Colours of the contacts.  Raises InputError unless `color` is one of `COLORS` and the scene has its values."""
+def shade_kinds(values: Array, title: str, *kinds: tuple[str, str]) -> Shade:
+    """Colours of values (n,) that number kinds, whose names and colours are given."""
+    from matplotlib.colors import to_rgb
+
+    values, colors = values.astype(int), 255 * np.array([to_rgb(color) for _, color in kinds]) + 0.5
+    return Shade(values, colors.astype(np.uint8)[values], title, "", None, kinds)
+
+
+def shade_contacts(scene: Scene, color: str, pair: tuple[str, str] = (TANGENTIAL, TIP)) -> Shade:
+    """Colours of the contacts, `pair` those of tangential and of tip contacts.
+
+    Raises InputError unless `color` is one of `COLORS` and the scene has its values.
+    """
     if color not in COLORS:
         raise InputError(f"contacts are coloured by {', '.join(COLORS)}, got {color!r}")
     values = scene.column(color)
@@ -72,10 +84,7 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         others = f"known are {', '.join(known)}" if known else "its file has points only"
         raise InputError(f"the {color} of the contacts of {scene.name} is not known; {others}")
     if color == "phase":
-        from matplotlib.colors import to_rgb
-
-        pair = (255 * np.array([to_rgb(TANGENTIAL), to_rgb(TIP)]) + 0.5).astype(np.uint8)
-        return Shade(values, pair[(values == planar.Phase.TIP).astype(int)], "contact", "", None)
+        return shade_kinds(values == planar.Phase.TIP, "kind of contact", ("tangential", pair[0]), ("tip", pair[1]))
     if color == "force":
         return shade(values * 1e3, "contact force in mN", 0.0, largest_known(values) * 1e3 or 1.0)
     if color == "friction":
@@ -99,10 +108,6 @@ def shown_lengths(values: Array, unit: str) -> tuple[Array, str]:
     return values * (UNITS_M[unit] / float(size)), symbol
 
 
-# Where what is estimated between slices stands on a scale from known to unknown: it looks like what is known.
-_ESTIMATED = 0.2
-
-
 def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     """The surface, and the colours of its vertices by how well they are known, the deviation from the truth and the bound: by
     those that are said.
@@ -113,10 +118,8 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     mesh, deviation, bound, known = shown_surface(scene)
     shades = []
     if known is not None:  # patches that no rod has reached are seen at once
-        values = np.interp(np.asarray(known, dtype=float), (0, 1, 2), (1.0, _ESTIMATED, 0.0))
-        names = (0.0, "known"), (_ESTIMATED, "estimated"), (1.0, "unknown")
-        title = ", ".join(f"{name} ({value:g})" for value, name in names)
-        shades.append(shade(values, title, 0.0, 1.0, map="Reds")._replace(names=names))
+        kinds = ("known", BODY), ("estimated", ESTIMATED), ("unknown", TANGENTIAL)
+        shades.append(shade_kinds(2 - known, "known or not", *kinds))
     if deviation is not None:
         values, unit = shown_lengths(deviation, scene.unit)
         # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation
@@ -158,11 +161,12 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array 
     no less than the certified bound of a facet, as a vertex has the largest bound of the facets around it.
     """
     known = scene.surface.vertex_attributes.get("known")
+    known = None if known is None else np.asarray(known, dtype=int)
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None, known
     mesh, weights, corners = _subdivide(scene.surface, scene.diagonal / 60)
     if known is not None:
-        known = (np.asarray(known, dtype=float)[corners] * weights).sum(axis=1)
+        known = np.where(weights > 0, known[corners], 2).min(axis=1)
     bound = None
     if scene.bound is not None:
         # an infinite bound does not count where its weight is zero but for rounding

@@ -269,9 +269,11 @@ def _mesh(vertices: Array, faces: Index) -> Any:
 
 def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, gap: float) -> NDArray[np.int8]:
     """(n,) class of points (n, 3) of the surface."""
-    distance = cKDTree(contacts).query(points, distance_upper_bound=np.nextafter(max(gap, spacing), np.inf))[0]
+    # between two slices and two contacts of each of them
+    tree, most = cKDTree(contacts), np.hypot(gap, _SUPPORTED * spacing)
+    distance = tree.query(points, distance_upper_bound=most)[0]
     known = np.where(distance <= spacing, KNOWN, np.where(np.isfinite(distance), ESTIMATED, UNKNOWN))
-    asked = np.flatnonzero(known == ESTIMATED)
+    asked, unreached = np.flatnonzero(known == ESTIMATED), unreached[tree.query(unreached)[0] > most]
     if len(unreached):
         known[asked[cKDTree(unreached).query(points[asked])[0] < distance[asked]]] = UNKNOWN
     return known.astype(np.int8)
