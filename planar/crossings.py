@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index, Mask
+from planar.arrays import ROUNDING, Array, Index, Mask
 from planar.pieces import piece
 from planar.reactions import checked_reactions
 
@@ -76,7 +76,9 @@ def drawn(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, s1: Arr
     change, second = fx * tangent[..., 1] - fy * tangent[..., 0], kappa * (fx * tangent[..., 0] + fy * tangent[..., 1])
     change = np.stack([np.where(number < _BENT, change, 0.0), np.where(bends, change, 0.0)], axis=2)
     reach = _REACH * np.where(bends, end / (_BENT - 1), np.maximum(end / (_BENT - 1), (1 - end) / _STRAIGHT))
-    used = np.flatnonzero((number < _BENT) | (past > 0))
+    # of short straight parts only every so many places, as far apart as those before
+    every = np.maximum(end * _STRAIGHT / ((_BENT - 1) * np.maximum(1 - end, ROUNDING)), 1).astype(int)
+    used = np.flatnonzero((number < _BENT) | ((past > 0) & (number[::-1] % every == 0)))
 
     def flat(column: Array) -> Array:
         return np.asarray(column.reshape(-1, *column.shape[2:])[used])
@@ -89,16 +91,16 @@ def drawn(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, s1: Arr
 def near(rods: Drawn, points: Array, within: float) -> Near:
     """The points (k, 2) within a distance of the rods."""
     trees = [scipy.spatial.cKDTree(places) for places in (points, rods.point)]
-    far = within + float(rods.reach.max(initial=0.0))
+    # what a rod turns by within its reach moves the foot's normal along, and the rod aside
+    turned = rods.reach * np.abs(rods.kappa) + rods.reach**2 * (np.abs(rods.change).max(axis=1) + np.abs(rods.second))
+    most = np.stack([rods.reach + within * turned, within + rods.reach * turned])
+    far = float(np.hypot(*most).max(initial=0.0))
     pairs = trees[0].sparse_distance_matrix(trees[1], far, output_type="ndarray")
     point, node = pairs["i"], pairs["j"]
     offset = np.take(points, point, axis=0) - np.take(rods.point, node, axis=0)
     cos, sin = np.take(rods.tangent, node, axis=0).T
     ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
-    # what a rod turns by within its reach moves the foot's normal along, and the rod aside
-    turned = rods.reach * np.abs(rods.kappa) + rods.reach**2 * (np.abs(rods.change).max(axis=1) + np.abs(rods.second))
-    likely = np.abs(ahead) <= np.take(rods.reach + within * turned, node)
-    likely &= np.abs(left) <= np.take(within + rods.reach * turned, node)
+    likely = (np.abs(ahead) <= np.take(most[0], node)) & (np.abs(left) <= np.take(most[1], node))
     point, node, ahead, left = (column[likely] for column in (point, node, ahead, left))
     kappa, second, reach, u = rods.kappa[node], rods.second[node], rods.reach[node], ahead
     square = kappa * kappa
@@ -111,11 +113,11 @@ def near(rods: Drawn, points: Array, within: float) -> Near:
         u, off = u + beyond * cos + aside * sin, beyond * sin - aside * cos
     close = np.flatnonzero((np.abs(u) <= reach) & (np.abs(off) <= within))
     # of each pair the nearest expansion
-    row = rods.row[node]
-    order = close[np.lexsort((np.abs(u[close]), point[close], row[close]))]
-    new = (np.diff(row[order], prepend=-1) != 0) | (np.diff(point[order], prepend=-1) != 0)
-    order = order[new]
-    return Near(row[order], point[order], rods.s[node[order]] + u[order], off[order])
+    pair = rods.row[node[close]] * len(points) + point[close]
+    order = np.lexsort((np.abs(u[close]), pair))
+    order = order[np.diff(pair[order], prepend=-1) != 0]
+    row, point = np.divmod(pair[order], len(points))
+    return Near(row, point, rods.s[node[close[order]]] + u[close[order]], off[close[order]])
 
 
 def passed(

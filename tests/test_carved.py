@@ -52,9 +52,10 @@ def test_vertices_that_are_known_lie_within_the_spacing_of_a_contact():
     assert cKDTree(cloud.points).query(known)[0].max() <= spacing_of(cloud)
     assert off_the_oval(known[np.abs(known[:, 2]) < 22]).max() < spacing_of(cloud)
     assert np.isin(np.unique(found.known), [0, 1, 2]).all()
-    # nothing has been felt of the flat ends, and they are all that is unknown
-    assert [np.sign(patch["center"][2]) for patch in found.coverage["unknown"]] in ([1, -1], [-1, 1])
-    assert all(abs(patch["center"][2]) > 22 for patch in found.coverage["unknown"])
+    # nothing has been felt of the flat ends, and they are all that is unknown, even if every twelfth contact is missing
+    for part in (found, carved(recording, cloud.select(np.arange(len(cloud)) % 12 > 0))):
+        assert [np.sign(patch["center"][2]) for patch in part.coverage["unknown"]] in ([1, -1], [-1, 1])
+        assert all(abs(patch["center"][2]) > 22 for patch in part.coverage["unknown"])
     area = sum(patch["area"] for patch in found.coverage["unknown"])
     shares = found.coverage["known"] + found.coverage["estimated"] + area / found.surface.area
     assert shares == pytest.approx(1, abs=1e-9)

@@ -318,7 +318,9 @@ def _color_bar(plotter: Any, shaded: parts.Shade) -> None:
     import pyvista
 
     if shaded.norm is None:
-        plotter.add_legend([*map(list, shaded.kinds)], bcolor=None, face="rectangle", loc="center right", size=(0.12, 0.12))
+        plotter.add_legend(
+            [*map(list, shaded.kinds)], bcolor=None, face="rectangle", loc="center right", size=(0.12, 0.12)
+        )
         return
     mapper = pyvista.DataSetMapper()
     mapper.lookup_table = pyvista.LookupTable(shaded.map, scalar_range=(shaded.norm.vmin, shaded.norm.vmax))

@@ -192,13 +192,16 @@ def _steepest(cloud: Cloud) -> float:
     return float(np.arctan(cloud.friction[known].max())) if known.any() else _FRICTION_ANGLE
 
 
-def on_surface(cloud: Cloud, recording: Recording) -> Cloud:
+def on_surface(cloud: Cloud, recording: Recording, convex: bool = True) -> Cloud:
     """The `contacts` of a recording with the normals of the surface, and what the rig's uncertainty and the rod's radius do.
 
     Those of a rod's centre line with the body fattened by its radius lie on the body's surface then.
     """
-    cloud = with_smooth_fit(with_slice_normals(cloud))
-    cloud = with_rig_errors(with_facet_normals(cloud) if cloud.fit is None else cloud, recording)
+    cloud = with_slice_normals(cloud)
+    if convex:
+        cloud = with_smooth_fit(cloud)
+        cloud = with_facet_normals(cloud) if cloud.fit is None else cloud
+    cloud = with_rig_errors(cloud, recording)
     rod, scale = recording.rod, UNITS_M[recording.unit]
     if not rod.diameter_m:
         return cloud

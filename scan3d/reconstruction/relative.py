@@ -73,7 +73,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     touched = contacts(recording, method)
     hollow = recording.source.get("convex") is False
     if hollow:  # its slices may contradict each other without any error
-        found = without_second_contacts(_whole(touched, recording, recording, method), recording)
+        found = without_second_contacts(on_surface(touched, recording, convex=False), recording)
         if not found.convex:
             return found
     by_rig = with_rig_errors(touched, recording)
