@@ -27,7 +27,7 @@ from planar.arrays import Array, Index, Mask
 from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
 from planar.several import MOST, Rods, free_rods, reactions, shapes, solve
-from planar.singles import Singles, Start
+from planar.singles import JUMP, Singles, Start
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
 # across a fold, which the chain in its coarseness must see.
@@ -42,8 +42,6 @@ _SLIPS, _ROUNDING = 1e-9, 1e-10
 _CHANGES = 8
 # Sweeps that are stepped for each that waits for the tables.
 _TOGETHER = 4
-# Movement of the rod, in rod lengths, beyond three times that of the base, that is a jump.
-_JUMP = 0.03
 # Distance between the chain that came to rest and the rod, in rod lengths, at which they are the same equilibrium.
 _SAME = 0.05
 
@@ -169,10 +167,10 @@ class _Sweeps:
         for i in folded:
             touched = self._places(i)
             starts += [Start(i, int(self.sample[i]), k, None, self.shape[i], touched) for k in touched]
-        for start, ahead in zip(starts, self.singles.ahead(starts) if starts else [], strict=True):
+        for start, (ahead, holds) in zip(starts, self.singles.ahead(starts) if starts else [], strict=True):
             i, first = start.sweep, int(start.rod is not None)
-            if ahead.holds > first and start.sample + first == self.sample[i]:
-                rods = ahead.rods.rows(np.arange(first, ahead.holds))
+            if holds > first and start.sample + first == self.sample[i]:
+                rods = ahead.rows(np.arange(first, holds))
                 samples = self.sample[i] + np.arange(len(rods.x0))
                 self.sampled[i].put(samples, rods)
                 self.status[i][samples] = np.where(rods.count > 0, SweepStatus.ONE_CONTACT, SweepStatus.FREE)
@@ -243,7 +241,7 @@ class _Sweeps:
         reached[settled] = points
         trial.put(settled, part)
         moved = np.hypot(*(reached - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
-        good &= ~(moved > _JUMP + 3 * (before.x0 - trial.x0))
+        good &= ~(moved > JUMP + 3 * (before.x0 - trial.x0))
         self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / _SHRINKS)
         folds = np.flatnonzero(~good & ~lost & (self.stride[rows] < _FOLD))
         if len(folds):
@@ -285,7 +283,7 @@ class _Sweeps:
         good[tried], points[tried] = self._admissible(rows[tried], part, zeta[tried], None)
         rods.put(tried, part)
         moved = np.hypot(*(points - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
-        return good & (moved < _JUMP), rods, points
+        return good & (moved < JUMP), rods, points
 
     def _extrapolate(self, trial: Rods, rows: Index) -> None:
         """Start values on the line through the last two states, where the contacts are the same."""

@@ -25,8 +25,10 @@ _BENT, _STRAIGHT = 40, 16
 _REACH = 0.75
 # Error of the expansions, in rod lengths; `tests/test_second_contacts.py` has the largest of many.
 EXPANDED = 1e-8
-# Travel of the tip, in steps of the base, beyond which the rod has snapped, and travel of a rod that is looked at.
-_SNAPPED, _TRAVEL = 5.0, 1.5
+SNAPPED = 5.0
+"""Travel of a contact, or of the tip, in steps of the base, beyond which it has snapped."""
+# Travel of a rod, in the same, that is looked at.
+_TRAVEL = 1.5
 
 
 class Drawn(NamedTuple):
@@ -170,5 +172,5 @@ def passed(
     offset = points[point] - rods.tip[before]
     share = np.clip((offset * chord).sum(axis=1) / np.maximum(travel, np.finfo(float).tiny) ** 2, 0, 1)
     away = np.hypot(*(offset - share[:, None] * chord).T)
-    kept = (travel <= _SNAPPED * (base[before] - base[row])) & (away > bulge + known)
+    kept = (travel <= SNAPPED * (base[before] - base[row])) & (away > bulge + known)
     return row[kept], point[kept]

@@ -27,7 +27,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import Array, Index, Mask
-from planar.crossings import EXPANDED, drawn, near
+from planar.crossings import EXPANDED, SNAPPED, drawn, near
 from planar.pieces import piece
 from planar.reactions import checked_reactions
 from planar.reconstruction import Contacts, NormalSource, Status
@@ -42,8 +42,8 @@ _EXACT, _AGREES, _DEVIATIONS = 1e-11, 1e-6, 5.0
 _SHARE, _ADDED = 0.6, 2e-3
 # The same of the chord between recovered contacts at the tip, which must confirm each other.
 _CHORD = 0.1
-# Chord, in steps of the base, beyond which the contact has snapped, and in rod lengths, below which it has not moved.
-_SNAPPED, _SAME_PLACE = 5.0, 1e-6
+# Chord, in rod lengths, below which a contact has not moved.
+_SAME_PLACE = 1e-6
 # Distance, in rod lengths, up to which exact contacts are at one corner, and steps of Newton's iteration to it along the rod.
 _SAME_CORNER, _FOOT_STEPS = 1e-9, 3
 # Share of the tangential contacts that must agree for a constant coefficient of friction.
@@ -119,7 +119,7 @@ def _off_path(x0: Array, contacts: Contacts, tangential: Mask, place: Array, slo
     length, turn, angle = _steps(contacts.point, contacts.slope)
     noise = (place[1:] + place[:-1]) / np.maximum(length, np.finfo(float).tiny) + slope_error[1:] + slope_error[:-1]
     both = tangential[1:] & tangential[:-1]
-    moved = (length > _SAME_PLACE) & (length < _SNAPPED * np.abs(np.diff(x0)))
+    moved = (length > _SAME_PLACE) & (length < SNAPPED * np.abs(np.diff(x0)))
     wrong = both & moved & (angle > _SHARE * np.abs(turn) + _ADDED + _DEVIATIONS * noise)
     found = np.zeros(len(contacts), dtype=bool)
     found[1:] |= wrong
@@ -213,7 +213,7 @@ def recover(
     with np.errstate(invalid="ignore"):
         step = np.abs(np.diff(np.asarray(x0, dtype=float)))
         moves = (length > _SAME_PLACE) & (off <= _CHORD * np.abs(turn) + _AGREES)
-        near = length < _SNAPPED * step
+        near = length < SNAPPED * step
         agrees, differs = near & (moves | (length <= _SAME_PLACE)), near & ~moves & (length > _SAME_PLACE)
         confirmed = np.append(agrees, False) | np.insert(agrees, 0, False)
         confirmed &= ~(np.append(differs, False) | np.insert(differs, 0, False))

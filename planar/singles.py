@@ -22,8 +22,8 @@ from planar.several import Rods, free_rods
 
 # Coefficients at which a sweep with friction per sample is tabulated.
 _LEVELS = 3
-# Movement of the rod, in rod lengths, beyond three times that of the base, that is looked at as a jump.
-_JUMP = 0.03
+JUMP = 0.03
+"""Movement of the rod, in rod lengths, beyond three times that of the base, that is looked at as a jump."""
 # Distance between two places, in rod lengths, that are the same.
 _SAME = 1e-7
 
@@ -42,15 +42,6 @@ class Start(NamedTuple):
     """(k, 2) a rod from which the first candidate must be within reach without anything between."""
     touched: tuple[int, ...] = ()
     """Pieces of the path that it touches."""
-
-
-class Ahead(NamedTuple):
-    """What the tables tell of the samples of one sweep from a given one on."""
-
-    rods: Rods
-    """(n,)"""
-    holds: int
-    """How many of them hold."""
 
 
 class _Places(NamedTuple):
@@ -132,8 +123,8 @@ class Singles:
         past = np.flatnonzero(begin >= u - 1e-12)
         return int(rows.start + on[past[-1] if len(past) else 0])
 
-    def ahead(self, starts: list[Start]) -> list[Ahead]:
-        """What the samples of sweeps are from their starts on."""
+    def ahead(self, starts: list[Start]) -> list[tuple[Rods, int]]:
+        """The rods (n,) that the tables tell of the samples of sweeps from their starts on, and how many of them hold."""
         size = [len(self.bases[start.sweep]) - start.sample for start in starts]
         found, rods, lines = self._drawn(starts, size)
         answers, begin = [], 0
@@ -143,7 +134,7 @@ class Singles:
             holds = self._hold(start, lines.rows(rows), found.piece[rows])
             if holds and start.rod is not None and not self._same(rods.rows(rows[:1]), start.rod):
                 holds = 0
-            answers.append(Ahead(rods.rows(rows), holds))
+            answers.append((rods.rows(rows), holds))
         return answers
 
     def touching(self) -> list[Mask]:
@@ -210,7 +201,7 @@ class Singles:
         ):
             return 0
         moved = np.hypot(*np.diff(shape, axis=0).transpose(2, 0, 1)).max(axis=1, initial=0.0)
-        for k in np.flatnonzero(moved > _JUMP - 3 * np.diff(rods.x[:n, 0])):
+        for k in np.flatnonzero(moved > JUMP - 3 * np.diff(rods.x[:n, 0])):
             if self._something_between(corners, edges, shape[k], shape[k + 1], [piece[k]], piece[k + 1]):
                 return int(k) + 1
         return n

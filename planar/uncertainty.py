@@ -20,8 +20,8 @@ from planar.inverses import solve
 from planar.reactions import checked_reactions
 from planar.rods import Rod
 
-# Relative step of differences: their errors, its square and the march's over it, are both some 1e-7.
-_DIFFERENCE = 3e-4
+DIFFERENCE = 3e-4
+"""Relative step of differences: their errors, its square and the march's over it, are both some 1e-7."""
 
 
 def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int = -1, rod: Rod | None = None) -> Array:
@@ -70,8 +70,7 @@ def _of_closed_form(across: Array, along: Array, moment: Array) -> Array:
         def scaled(value: Array, alpha_slope: Array, q_slope: Array) -> Array:
             """Derivatives (n, 3) of value / √f."""
             changed: Array = alpha_slope[:, None] * by_alpha + q_slope[:, None] * by_q
-            derivative: Array = (changed - (value / (2 * force))[:, None] * by_force) / root[:, None]
-            return derivative
+            return (changed - (value / (2 * force))[:, None] * by_force) / root[:, None]
 
         # β = 2 arcsin(k) - π/2 with k² = sin²(α/2) + q²
         square = np.sin(alpha / 2) ** 2 + q * q
@@ -91,7 +90,7 @@ def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Arr
     """`jacobian` of any rod, by central differences of its contacts."""
     reactions = np.stack([across, along, moment])
     force = np.hypot(*(reactions[:2] + rod.pull))
-    change = _DIFFERENCE * np.stack([force, force, np.abs(moment)])
+    change = DIFFERENCE * np.stack([force, force, np.abs(moment)])
     moved = np.tile(reactions[:, None, None], (1, 2, 3, 1))  # of each reaction down and up
     for k in range(3):
         moved[k, :, k] += [-change[k], change[k]]

@@ -53,37 +53,25 @@ if TYPE_CHECKING:
     from scan3d.steps import surface as surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
-_HOME = {
-    "Batch": "batches",
-    "Calibration": "calibration.report",
-    "Cloud": "cloud",
-    "Comparison": "comparison",
-    "Gravity": "rods",
-    "InputError": "errors",
-    "Plan": "planning.plan",
-    "Recording": "recording",
-    "Result": "results",
-    "Rod": "rods",
-    "Session": "session",
-    "Shape": "files.shapes",
-    "batch": "batches",
-    "calibrate": "steps",
-    "compare": "steps",
-    "import_table": "laboratory.importing",
-    "load": "steps",
-    "load_mesh": "files.meshes",
-    "open": "results",
-    "plot": "pictures.notebook",
-    "read_recording": "files.recordings",
-    "read_rig": "calibration.report",
-    "reconstruct": "steps",
-    "save": "steps",
-    "scan": "results",
-    "simulate": "steps",
-    "surface": "steps",
-    "write_recording": "files.recordings",
-    "write_rig": "calibration.report",
+_NAMES = {
+    "batches": "Batch batch",
+    "calibration.report": "Calibration read_rig write_rig",
+    "cloud": "Cloud",
+    "comparison": "Comparison",
+    "errors": "InputError",
+    "files.meshes": "load_mesh",
+    "files.recordings": "read_recording write_recording",
+    "files.shapes": "Shape",
+    "laboratory.importing": "import_table",
+    "pictures.notebook": "plot",
+    "planning.plan": "Plan",
+    "recording": "Recording",
+    "results": "Result open scan",
+    "rods": "Gravity Rod",
+    "session": "Session",
+    "steps": "calibrate compare load reconstruct save simulate surface",
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = sorted(_HOME)
 

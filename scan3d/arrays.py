@@ -23,6 +23,8 @@ SOME = 20_000
 """Rows, evenly spread over all, that statistics and fits take at most: their errors fall with the root of the number."""
 AT_ONCE = 4_000_000
 """Entries of a matrix that are computed at once, which limits the memory."""
+OCTANTS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
+"""(8, 3) the signs of the coordinates in each octant: the corners of a cube."""
 
 
 def evenly(rows: NDArray[Any], count: int) -> NDArray[Any]:
@@ -45,21 +47,18 @@ def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -
     if not len(order):
         return np.full(len(shares), np.nan)
     total = np.cumsum(weights[order])
-    found: Array = values[order][np.searchsorted(total, np.multiply(shares, total[-1])).clip(max=len(order) - 1)]
-    return found
+    return values[order][np.searchsorted(total, np.multiply(shares, total[-1])).clip(max=len(order) - 1)]
 
 
 def unit(vectors: Array) -> Array:
     """Vectors (..., 3) scaled to unit length."""
-    scaled: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return scaled
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def unit_or_zero(vectors: Array) -> Array:
     """Vectors (n, 3) scaled to unit length, zero where they have none."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    scaled: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
-    return scaled
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
 
 
 def across(normals: Array) -> tuple[Array, Array]:

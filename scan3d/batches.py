@@ -27,14 +27,12 @@ from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
 from scan3d.files.reading import read_section
-from scan3d.files.whole import BATCH, REPORT, earlier_files, read_report, replacing, sha256, unchanged
+from scan3d.files.whole import BATCH, REPORT, SCHEMA, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.numbers import length, share
 from scan3d.processes import undone_if_ended
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
 from scan3d.workers import Workers
 
-SCHEMA = 1
-"""Number of the format of ``batch.json``."""
 Row = dict[str, Any]
 """A row of the summary, by column; what is not known is None."""
 Grid = list[dict[str, Any]]
@@ -142,7 +140,9 @@ def batch(
     written into or holds files that must not be replaced.
     """
     file = Path(grid) if isinstance(grid, (str, os.PathLike)) else None
-    varied = [{}] if grid is None else combinations(grid) if isinstance(grid, Mapping) else read_grid(grid)
+    if isinstance(grid, (str, os.PathLike)):
+        grid = read_section(grid, "grid", name=str(grid)).data
+    varied = [{}] if grid is None else combinations(grid, str(file or "the grid"))
     chosen = varied_settings(settings, varied, config, source="scan3d.batch", grid_source=str(file or "the grid"))
     given = [paths] if isinstance(paths, (str, os.PathLike)) else paths
     folder = Path(out)
@@ -229,7 +229,10 @@ def _runs(
         combined.setdefault(settings, varied)
     bodies, hashes = body_names(paths), [_sha256(path) for path in paths]
     pairs = [(k, settings) for k in range(len(paths)) for settings in combined]
-    names = _distinct([run_name(bodies[k], combined[settings]) for k, settings in pairs])
+    labels = {
+        settings: [f"{name}={_text(value)}" for name, value in varied.items()] for settings, varied in combined.items()
+    }
+    names = _distinct([_allowed("_".join([bodies[k], *labels[settings]])) for k, settings in pairs])
     return [
         Run(name, str(paths[k]), str(paths[k].absolute()), hashes[k], settings, str(out.absolute() / name), overwrite)
         for name, (k, settings) in zip(names, pairs, strict=True)
@@ -364,11 +367,6 @@ def _meant(name: str) -> list[Path]:
     return meshes
 
 
-def read_grid(path: str | os.PathLike[str]) -> Grid:
-    """The combinations of a TOML file.  Raises InputError for a file that can't be read, and as `combinations`."""
-    return combinations(read_section(path, "grid", name=str(path)).data, str(path))
-
-
 def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
     """The combinations of lists of values by setting.
 
@@ -399,11 +397,6 @@ def body_names(paths: Sequence[Path]) -> list[str]:
             parts.append(path.suffix[1:])
         names.append(_allowed("-".join(parts)))
     return _distinct(names)
-
-
-def run_name(body: str, varied: Mapping[str, Any]) -> str:
-    """The name of a run: that of the body, and the settings that the grid varies."""
-    return _allowed("_".join([body, *(f"{name}={_text(value)}" for name, value in varied.items())]))
 
 
 def _text(value: Any) -> str:

@@ -188,8 +188,7 @@ class Cloud(Shown, Exported):
         assert self.place_sd is not None
         # errors of the second order, and no contact counts as if it were much more accurate than most
         second = self.place_sd**2 / (0.3 * self.rod_length)
-        variance: Array = (0.15 * self.noise) ** 2 + self.pose_error**2 + second**2
-        return variance
+        return (0.15 * self.noise) ** 2 + self.pose_error**2 + second**2
 
     def sd_along(self, directions: Array) -> Array | None:
         """(n,) standard deviations of the places along unit vectors (n, 3), NaN where those are; None unless `noisy`."""

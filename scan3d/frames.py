@@ -26,8 +26,7 @@ _EULER = "xyz"
 
 def turn_of(euler_deg: ArrayLike) -> Array:
     """The rotation matrix (3, 3) of Euler angles (3,) in degrees."""
-    turn: Array = Rotation.from_euler(_EULER, np.asarray(euler_deg, dtype=float), degrees=True).as_matrix()
-    return turn
+    return Rotation.from_euler(_EULER, np.asarray(euler_deg, dtype=float), degrees=True).as_matrix()
 
 
 def euler_of(turn: Array) -> Array:

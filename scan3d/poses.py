@@ -22,6 +22,8 @@ from scan3d.rods import Rod
 
 SPEED_M_S = 0.02
 """Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
+TABLE = 0.0
+"""Height z, in metres, of the table on which bodies stand for which poses are planned."""
 
 
 class Move(IntEnum):

@@ -21,6 +21,7 @@ from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, cer
 from scan3d.bounds.reach import Reach
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
+from scan3d.files.whole import SCHEMA
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.numbers import length, lengths, number, share, volume
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
     from scan3d.surfaces.carved import Carved
 
-SCHEMA = 1
-"""Number of the format of ``report.json``."""
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 

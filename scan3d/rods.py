@@ -139,8 +139,7 @@ class Rod:
 
     def radius_m(self, s: Array) -> Array:
         """(n,) radii at arc lengths (n,) in rod lengths; outside of the rod those of its ends."""
-        radius: Array = self.diameter_m / 2 * self.profile.diameter(s)
-        return radius
+        return self.diameter_m / 2 * self.profile.diameter(s)
 
     @property
     def profile(self) -> Profile:

@@ -1,7 +1,8 @@
-"""Scenes read from files, to be shown and compared: a scan's folder, a cloud, or a surface."""
+"""Scenes read from files, to be shown and compared: a scan's folder, a cloud, a surface, or points of another program."""
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -10,15 +11,18 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
+from trimesh.exchange.load import mesh_loaders
 
 from scan3d.errors import InputError
 from scan3d.files import whole
 from scan3d.files.meshes import FORMATS, read_mesh
+from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
-from scan3d.files.shapes import read_ply
-from scan3d.files.whole import REPORT, check_belongs, locate, sha256
+from scan3d.files.shapes import NORMAL, POINT, read_ply, table
+from scan3d.files.whole import REPORT, SCHEMA, check_belongs, locate, sha256
 from scan3d.pictures.scene import Scene, columns
-from scan3d.report import SCHEMA, key_figures, summary
+from scan3d.report import key_figures, summary
 from scan3d.units import UNITS_M
 
 DEMO = Path(__file__).with_name("egg.glb")
@@ -100,17 +104,19 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
 
 
 def read_ply_scene(path: Path, unit: str) -> Scene | None:
-    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for the PLYs of other programs.
+    """The scene in a PLY: a cloud, or a surface as `scan` writes it with its bound; None for other PLYs with faces.
 
     Raises InputError for files that can't be read, and for points that are missing or not finite.
     """
     try:
         rows, faces, comments = read_ply(path)
     except InputError:
-        return None
-    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
+        rows, faces, comments = _of_other_program(path)
+        if faces is not None:
+            return None
+    if not {*POINT} <= {*(rows.dtype.names or ())}:
         raise InputError(f"{path.name} has no points: expected the columns x, y and z")
-    if not len(rows) or not np.isfinite(columns(rows, "x", "y", "z")).all():
+    if not len(rows) or not np.isfinite(columns(rows, *POINT)).all():
         raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
     unit = unit_of(comments, unit)
     if faces is None:
@@ -123,6 +129,20 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     if "known" in (rows.dtype.names or ()):
         mesh.vertex_attributes["known"] = rows["known"]
     return Scene(path.stem, unit, surface=mesh, bound=bound if is_known else None)
+
+
+def _of_other_program(path: Path) -> tuple[NDArray[Any], Any, tuple[str, ...]]:
+    """As `read_ply`, of any PLY: its points, with normals if they are there, and its faces, None if there are none."""
+    try:
+        check_file(path)
+        raw = mesh_loaders["ply"](io.BytesIO(path.read_bytes()), skip_materials=True)
+        data = raw["metadata"]["_ply_raw"]["vertex"]["data"]
+        known = [name for name in POINT + NORMAL if name in (data if isinstance(data, dict) else data.dtype.names)]
+        rows = table({name: np.asarray(data[name], dtype=float).ravel() for name in known})
+    # trimesh's parser raises various errors for foreign bytes; the reader of meshes says what is wrong with those
+    except Exception:
+        return np.empty(0), (), ()
+    return rows, raw["faces"] if len(raw.get("faces", ())) else None, ()
 
 
 def unit_of(comments: tuple[str, ...], default: str) -> str:

@@ -21,7 +21,7 @@ from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
 from scan3d.planning.plan import Plan, further_directions, open_places
 from scan3d.planning.stretches import aimed_line, aims
-from scan3d.poses import PoseList
+from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE
 from scan3d.reconstruction.slices import LEVEL
@@ -32,11 +32,6 @@ from scan3d.shown import Described, Rows
 
 if TYPE_CHECKING:
     import trimesh
-
-# Sides from which a new slice is swept.
-_SIDES = 4
-# Height of the table, in metres.
-_TABLE = 0.0
 
 
 class Session(Described):
@@ -106,13 +101,13 @@ class Session(Described):
             recording.wrench()
         if recording.unit != self.plan.unit:
             raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
-        if recording.table_m not in (None, _TABLE):
+        if recording.table_m not in (None, TABLE):
             raise InputError(
                 "the session's body stands on z = 0, and the recording's on z = "
                 f"{length(recording.table_m, 'm', digits=4)}; state poses in a "
                 "frame in which the table is at 0"
             )
-        recording = replace(recording, table_m=_TABLE)
+        recording = replace(recording, table_m=TABLE)
         joined([*self._recordings[-1:], recording])  # raises InputError if it cannot be done
         self._recordings.append(recording)
         self._last = None
@@ -199,7 +194,7 @@ class Session(Described):
         Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
         """
         space, cloud = self.plan.space(), self.cloud
-        count = max(1, sweeps // _SIDES)
+        count = max(1, sweeps // rig.SIDES)
         at_stretches: list[rig.Sweep] = []
         if cloud.convex:
             # as finely as slabs will be divided in the end
@@ -210,14 +205,14 @@ class Session(Described):
                 line = aimed_line(aim, outline, space.length, space.clearance)
                 at_stretches.append(rig.slice_sweep(self.plan, space, aim.angle, aim.height, line))
             known = np.unique(cloud.slice_height)
-            between = np.argsort(-np.diff(known), kind="stable")[: (sweeps - len(at_stretches)) // _SIDES]
+            between = np.argsort(-np.diff(known), kind="stable")[: (sweeps - len(at_stretches)) // rig.SIDES]
             heights = (known[between] + known[between + 1]) / 2
         top = self.plan.around.height
         chosen = [
             (float(angle), float(z))
             for z in heights
             if space.floor <= z <= top
-            for angle in 2 * np.pi * np.arange(_SIDES) / _SIDES
+            for angle in 2 * np.pi * np.arange(rig.SIDES) / rig.SIDES
         ]
         chosen += self._open_directions(sweeps)
         return at_stretches + [rig.slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]

@@ -90,7 +90,7 @@ class Settings:
             slices=self.slices,
             spacing=self.spacing,
             axis=_axis(self.axis),
-            sweeps=None if self.sweeps == "auto" else _integer("sweeps", self.sweeps),
+            sweeps=_sweeps(self.sweeps),
             samples=self.samples,
             friction=_friction(self.friction),
             clearance=self.clearance,
@@ -251,8 +251,8 @@ def _axis(text: str) -> str | tuple[float, ...]:
         raise InputError(f"axis must be x, y, z or three numbers, such as 1,1,0; got {text!r}") from None
 
 
-def _integer(name: str, text: str) -> int:
+def _sweeps(text: str) -> int | None:
     try:
-        return int(text)
+        return None if text == "auto" else int(text)
     except ValueError:
-        raise InputError(f"{name} must be 'auto' or a whole number, got {text!r}") from None
+        raise InputError(f"sweeps must be 'auto' or a whole number, got {text!r}") from None

@@ -49,12 +49,10 @@ class Shown(Described):
 
     def plot(self, **options: Any) -> Image:
         """A picture of the result; `options` are those of `scan3d.plot`."""
-        picture: Image = _LOADERS["drawn"]().plot(self, **options)
-        return picture
+        return _LOADERS["drawn"]().plot(self, **options)
 
     def _repr_html_(self) -> str:
-        text: str = _LOADERS["drawn"]().to_html(self)
-        return text
+        return _LOADERS["drawn"]().to_html(self)
 
 
 class Exported(Described):
@@ -70,13 +68,11 @@ class Exported(Described):
 
     def to_pandas(self, truth: Any = None) -> pandas.DataFrame:
         """A `pandas.DataFrame` with a row for each contact.  Raises InputError if pandas is missing."""
-        table: pandas.DataFrame = _LOADERS["saved"]().to_pandas(self, truth)
-        return table
+        return _LOADERS["saved"]().to_pandas(self, truth)
 
     def to_pyvista(self, truth: Any = None) -> pyvista.PolyData:
         """A `pyvista.PolyData` with normals, force, friction and all other columns as point data."""
-        data: pyvista.PolyData = _LOADERS["saved"]().to_pyvista(self, truth)
-        return data
+        return _LOADERS["saved"]().to_pyvista(self, truth)
 
     def to_open3d(self, truth: Any = None) -> Any:
         """An `open3d.t.geometry.PointCloud` with the same columns.  Raises InputError if open3d can't be imported."""

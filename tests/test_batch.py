@@ -19,7 +19,7 @@ from small_scans import CUBE, EGG, FEW, FOLDER
 
 import scan3d
 from scan3d import batches, workers
-from scan3d.batches import COLUMNS, _csv, body_names, mesh_files, read_grid
+from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files
 from scan3d.cli import main
 from scan3d.pictures import rendering
 from scan3d.settings import settings
@@ -161,10 +161,8 @@ def test_names_of_bodies(paths, names):
 # --- grids ---
 
 
-def test_a_grid_is_the_product_of_its_lists(tmp_path):
-    grid = tmp_path / "grid.toml"
-    grid.write_text('slices = 8\nfriction = [0.0, "0.1:0.4"]\naxis = ["x", [1, 1, 0]]\n')
-    assert read_grid(grid) == [
+def test_a_grid_is_the_product_of_its_lists():
+    assert combinations({"slices": 8, "friction": [0.0, "0.1:0.4"], "axis": ["x", [1, 1, 0]]}) == [
         {"slices": 8, "friction": friction, "axis": axis} for friction in (0.0, "0.1:0.4") for axis in ("x", [1, 1, 0])
     ]
 

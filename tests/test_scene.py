@@ -100,6 +100,29 @@ def test_plys_and_meshes(folder, tmp_path):
     foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "in")
     assert foreign.unit == "in"
     assert foreign.points == pytest.approx(points, rel=1e-6)
+    head = "ply\nformat {}\nelement vertex 50\n{}element face 0\nproperty list uchar int vertex_indices\nend_header\n"
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    text, big = np.column_stack([points, np.eye(3)[[2] * 50]]), points.astype(">f4")
+    files = (
+        (head.format("ascii 1.0", "".join(f"property float {name}\n" for name in names)).encode(), text, names),
+        (
+            head.format(
+                "binary_big_endian 1.0", "property float32 x\nproperty float32 y\nproperty float32 z\n"
+            ).encode(),
+            big,
+            names[:3],
+        ),
+    )
+    for header, values, columns in files:
+        body = (
+            values.tobytes()
+            if values is big
+            else "\n".join(" ".join(map(str, row)) for row in values.tolist()).encode()
+        )
+        (tmp_path / "foreign.ply").write_bytes(header + body)
+        foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "mm")
+        assert foreign.contacts.dtype.names == columns
+        assert foreign.points == pytest.approx(points, rel=1e-6)
     scan3d.load_mesh(CUBE).export(tmp_path / "mesh.ply", encoding="ascii")
     for path in (CUBE, tmp_path / "mesh.ply"):
         mesh = show.read_scene(path, str(EGG), False, "mm")

@@ -55,7 +55,7 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
     _, by_axis = polytope
     counted = clipped = 0
     for stack in by_axis:
-        slices = [(section, slopes) for section, slopes in zip(stack.slices, height_slopes(stack), strict=True)]
+        slices = [(section, slopes) for section, (slopes, _) in zip(stack.slices, height_slopes(stack), strict=True)]
         slices = [(section, slopes) for section, slopes in slices if section.closed]
         for (below, _), (section, slopes), (above, _) in zip(slices[:-2], slices[1:-1], slices[2:], strict=True):
             angle = np.arctan2(section.normals[:, 1], section.normals[:, 0])
@@ -63,10 +63,10 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
             lower = (above.support(angle) - h) / (above.height - section.height)
             upper = (h - below.support(angle)) / (section.height - below.height)
             lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
-            assert (slopes.tangential >= lower - 1e-9).all()
-            assert (slopes.tangential <= upper + 1e-9).all()
+            assert (slopes >= lower - 1e-9).all()
+            assert (slopes <= upper + 1e-9).all()
             counted += len(angle)
-            clipped += int(((slopes.tangential == lower) | (slopes.tangential == upper)).sum())
+            clipped += int(((slopes == lower) | (slopes == upper)).sum())
     assert 0 < clipped < counted
 
 

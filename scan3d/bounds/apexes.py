@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import OCTANTS, Array, Index, Mask
 from scan3d.geometry.arcs import Arcs
 
 # Smallest determinant of three unit normals that meet in an apex: below it the rounding of the apex is no longer small.
@@ -43,7 +43,6 @@ _FRACTION, _AT_ONCE = 0.5, 60
 _STUCK = 0.9
 # Gap relative to the body's size at which the refinement ends, and depth of a cut that counts.
 _CLOSE, _SHALLOWEST = 2e-5, 1e-7
-_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
 
 
 class Cover(NamedTuple):
@@ -69,8 +68,7 @@ class Apexes(NamedTuple):
     @property
     def open(self) -> Mask:
         """(m,) whether nothing bounds the body in the triangle's directions."""
-        unbounded: Mask = np.isinf(self.gap)
-        return unbounded
+        return np.isinf(self.gap)
 
     @property
     def score(self) -> tuple[bool, float]:
@@ -115,8 +113,7 @@ def _codes(triangles: Index, count: int) -> list[int]:
     far = len(_far_planes().points)
     ordered = np.sort(triangles, axis=1) + far
     base = count + far
-    codes: list[int] = ((ordered[:, 0] * base + ordered[:, 1]) * base + ordered[:, 2]).tolist()
-    return codes
+    return ((ordered[:, 0] * base + ordered[:, 1]) * base + ordered[:, 2]).tolist()
 
 
 def _gaps(covering: Cover, codes: list[int], distance: Callable[[Array], Array], known: dict[int, float]) -> Array:
@@ -224,7 +221,7 @@ def _needless(planes: Arcs, triangles: Index, far: int) -> Index:
 
 
 def _far_planes() -> Arcs:
-    normals = np.concatenate([np.eye(3), -np.eye(3), _CORNERS / np.sqrt(3)])
+    normals = np.concatenate([np.eye(3), -np.eye(3), OCTANTS / np.sqrt(3)])
     # turned, so that no body's own normals are parallel to them
     first, _ = np.linalg.qr(np.array([[1.0, 0.37, 0.19], [-0.23, 1.0, 0.41], [0.13, -0.29, 1.0]]))
     normals = normals @ first.T
@@ -245,7 +242,7 @@ def _triangles(dual: Array) -> Index | None:
 
 def _apexes(planes: Arcs, triangles: Index) -> tuple[Array, Array]:
     """The smallest determinant (m,) over all choices of ends, and the apexes (m, 8, 3) of the choices."""
-    ends = ((_CORNERS + 1) // 2).astype(np.intp)
+    ends = ((OCTANTS + 1) // 2).astype(np.intp)
     normals = planes.ends()[triangles]
     a, b, c = (normals[:, k, ends[:, k]] for k in range(3))
     points = planes.points[triangles]

@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import QhullError
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, unit
+from scan3d.arrays import NEGLIGIBLE, OCTANTS, ROUNDING, Array, Index, Mask, across, unit
 from scan3d.bounds.constraints import HalfSpaces, by_arcs, by_secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
@@ -67,7 +67,6 @@ _INSIDE, _STEPS = 1e-6, 0.2 ** np.arange(13)
 _FAR = 1e6
 # Determinant of three axes that span space.
 _SPANNING = 0.02
-_SIGNS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")).reshape(3, 8).T
 
 
 class Gap(IntEnum):
@@ -285,7 +284,7 @@ class _Arrangement:
                 begin[-1][in_cell[:: 1 + len(in_cell) // _FIRST]] = True
         cell = _Cell(np.empty((0, 3)), [], *map(np.concatenate, (planes, side, goes_on)))
         chosen = np.concatenate(begin)
-        corners = origin + _SIGNS @ scale.T / 2
+        corners = origin + OCTANTS @ scale.T / 2
         closed = len(self._bounded) == 3 and bool(np.isfinite(high - low).all())
         if closed and (_heights(corners, cell.planes).min(axis=0) > 0).any():
             return cell
@@ -354,8 +353,7 @@ class _Arrangement:
 
 def _heights(points: Array, planes: Array) -> Array:
     """How far points (p, 3) lie beyond planes (k, 4)."""
-    heights: Array = points @ planes[:, :3].T + planes[:, 3]
-    return heights
+    return points @ planes[:, :3].T + planes[:, 3]
 
 
 def _left(planes: Array, origin: Array, scale: Array, tried: Array) -> tuple[Array, list[list[int]]] | None:

@@ -250,8 +250,7 @@ def secants(
     run = np.array([[height - b.height] for b in others]) - 2 * outwards * height_error * np.sign(rise)
     with np.errstate(divide="ignore"):
         slopes = np.where(outwards * run > 0, rise / run, outwards * np.inf)
-    tightest: Array = outwards * (outwards * slopes).min(axis=0)
-    return tightest
+    return outwards * (outwards * slopes).min(axis=0)
 
 
 def _inclined(outward: Array, along: Array, slope: Array, value: Array, height: Array | float, move: Array) -> Array:
@@ -277,8 +276,7 @@ def _goes_on_straight(slice_: Slice, behind: tuple[Slice, ...], ahead: tuple[Sli
     across = (h3 - h) / (beyond.height - slice_.height)
     closest = min(abs(slice_.height - nearest.height), abs(nearest.height - next_.height))
     rounding = ROUNDING * np.abs(slice_.value).max() / closest
-    straight: Mask = np.abs(near - far) <= STRAIGHT * np.abs(near - across) + rounding
-    return straight
+    return np.abs(near - far) <= STRAIGHT * np.abs(near - across) + rounding
 
 
 def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list[HalfSpaces]]], float]:

@@ -196,8 +196,7 @@ class Enclosure(Described):
 
 def sticking_out(points: Array, bodies: tuple[tuple[Any, float], ...]) -> Array:
     """Upper bounds (n,) of the distances of points (n, 3) from a body, by inner bodies and how far they may stick out."""
-    distances: Array = np.min([nearest(points, body)[0] + offset for body, offset in bodies], axis=0)
-    return distances
+    return np.min([nearest(points, body)[0] + offset for body, offset in bodies], axis=0)
 
 
 def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = CONFIDENCE) -> Enclosure:
@@ -356,8 +355,7 @@ def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float
 
 def _distances(points: Array, stack: SliceStack, tilt: Tilt) -> Array:
     """Distances (n,) of points (n, 3) from the stack's axis through the centre of the tilted planes."""
-    across: Array = np.linalg.norm((points - tilt.centre) @ stack.frame[:2].T, axis=1)
-    return across
+    return np.linalg.norm((points - tilt.centre) @ stack.frame[:2].T, axis=1)
 
 
 def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: float = 1.0) -> Enclosure:

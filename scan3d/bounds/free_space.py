@@ -25,6 +25,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
+from planar.crossings import SNAPPED
 from scan3d.arrays import Array, Index, Mask, ranges
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
@@ -41,8 +42,6 @@ _POINTS = 40
 _DIRECTIONS = 48
 # Cells between successive contacts of a sweep, and cells along the longest side of a window at most.
 _CELLS, _FINEST = 3, 400
-# Travel of the rod's end, in steps of the base, beyond which it has snapped.
-_SNAPPED = 5.0
 # Cells by which a contact may lie inside free space, by the cells' size and the rods' chords; deeper ones contradict it.
 _DEEPER = 2
 # Neighbours in the plane of a slice.
@@ -101,10 +100,7 @@ class Sheets:
         """(n,) distance of points (n, 3) from the nearest of the planes."""
         height = points @ self.frame[2]
         above = np.minimum(np.searchsorted(self.height, height), len(self.height) - 1)
-        away: Array = np.minimum(
-            np.abs(self.height[above] - height), np.abs(height - self.height[np.maximum(above - 1, 0)])
-        )
-        return away
+        return np.minimum(np.abs(self.height[above] - height), np.abs(height - self.height[np.maximum(above - 1, 0)]))
 
 
 class Contours(NamedTuple):
@@ -201,7 +197,7 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     end = clamp + np.einsum("ni,nij->nj", np.nan_to_num(line[:, -1]), axes[:, :2])
     on = np.zeros(len(known), dtype=bool)
     step, travel = (np.linalg.norm(np.diff(place, axis=0), axis=1) for place in (clamp, end))
-    on[:-1] = known[1:] & known[:-1] & (np.diff(recording.sweep) == 0) & (travel <= _SNAPPED * step)
+    on[:-1] = known[1:] & known[:-1] & (np.diff(recording.sweep) == 0) & (travel <= SNAPPED * step)
     # a path that turns halfway between two rows leaves its chord by half of what the second differences are
     second = np.full(len(known), np.nan)
     both = on[1:-1] & on[:-2]
@@ -304,8 +300,7 @@ def _passed(lines: Array, on: Mask, bulge: Array, sheet: Index, sheets: int, siz
     line_of = (sheet[pair[p]] * size + r)[some] * (size + 1)
     total = sheets * size * (size + 1)
     change = np.bincount(line_of + start[some], minlength=total) - np.bincount(line_of + stop[some], minlength=total)
-    passed: Mask = np.cumsum(change.reshape(sheets, size, size + 1), axis=2)[..., :-1] > 0
-    return passed
+    return np.cumsum(change.reshape(sheets, size, size + 1), axis=2)[..., :-1] > 0
 
 
 def _in_hull(points: Array, shape: Index) -> Mask:
@@ -329,8 +324,7 @@ def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
     outer = ndimage.distance_transform_edt(outside, sampling=(far, 1, 1))
     inner = ndimage.distance_transform_edt(~outside, sampling=(far, 1, 1))
     outer, inner = np.minimum(outer, far), np.minimum(inner, far)
-    depth: NDArray[np.float32] = (cell * np.where(outside, outer - 0.5, 0.5 - inner)).astype(np.float32)
-    return depth
+    return (cell * np.where(outside, outer - 0.5, 0.5 - inner)).astype(np.float32)
 
 
 def contradicted(sheets: list[Sheets], cloud: Cloud) -> Mask:

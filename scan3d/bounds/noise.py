@@ -171,8 +171,7 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
 
 def _bias(covariance: Array, length: float) -> Array:
     """(n,) allowance for the second order of a contact's errors, which averages do not reduce."""
-    spread: Array = np.trace(covariance, axis1=1, axis2=2) * 2 / length
-    return spread
+    return np.trace(covariance, axis1=1, axis2=2) * 2 / length
 
 
 def _inner_polygon(
@@ -285,8 +284,7 @@ class _Lines:
         extent, _ = beyond(corners, self.points[rows], normals, tangents, offset)
         across, along = kappa * self.across[rows] + self.rig_across[rows], kappa * self.along[rows]
         tilt = kappa * self.normal_sd[rows] + self.rig_tilt[rows]
-        moved: Array = offset + (across + tilt * (extent + along) + self.bias[rows]) / (1 - tilt**2)
-        return moved
+        return offset + (across + tilt * (extent + along) + self.bias[rows]) / (1 - tilt**2)
 
 
 def _outer_lines(
@@ -354,8 +352,7 @@ class _Averaged:
         extent, height = beyond(corners, self.points, self.normals, self.tangents, self.offset)
         spread = self.across + self.tilt * extent + self.arm + self.turn * height
         rig = self.rig_across + self.rig_tilt * (extent + height)
-        moved: Array = self.offset + (self.kappa * spread + self.products + rig) / self.length
-        return moved
+        return self.offset + (self.kappa * spread + self.products + rig) / self.length
 
 
 class Averages(NamedTuple):
@@ -381,8 +378,7 @@ class Averages(NamedTuple):
     def _sums(self, terms: Array) -> Array:
         if not len(self.kappa):
             return terms
-        sums: Array = np.add.reduceat(terms, np.searchsorted(self.group, np.arange(len(self.kappa))))
-        return sums
+        return np.add.reduceat(terms, np.searchsorted(self.group, np.arange(len(self.kappa))))
 
     @staticmethod
     def _shaped(weight: Array, values: Array) -> Array:

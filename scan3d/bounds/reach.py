@@ -146,8 +146,7 @@ def _free_places(sheet: Sheets) -> Array:
     """(n, 3) the centres of the free cells."""
     number, y, x = np.nonzero(sheet.free)
     flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
-    places: Array = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
-    return places
+    return flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
 
 
 def _joined(cells: Mask, seeds: Mask) -> Mask:
@@ -155,8 +154,7 @@ def _joined(cells: Mask, seeds: Mask) -> Mask:
     label, count = ndimage.label(cells, structure=_EVERY_NEIGHBOUR)
     chosen = np.zeros(count + 1, dtype=bool)
     chosen[label[seeds & cells]] = True
-    joined: Mask = chosen[label]
-    return joined
+    return chosen[label]
 
 
 @dataclass(frozen=True)
@@ -209,8 +207,7 @@ class _Grid:
         """Distance of every cell's centre from that of the nearest of some cells; infinite if there are none."""
         if not cells.any():
             return np.full(self.shape, np.inf)
-        distance: Array = self.step * ndimage.distance_transform_edt(~cells)
-        return distance
+        return self.step * ndimage.distance_transform_edt(~cells)
 
     def at(self, values: Array, points: Array) -> Array:
         """The values (n,) of the cells of points (n, 3); -inf for those outside the grid."""

@@ -29,11 +29,9 @@ from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask
 from scan3d.calibration.references import Reference
 from scan3d.frames import to_outer, wrench_matrix
-from scan3d.spatial.inverse import reconstruct
+from scan3d.spatial.inverse import PAST_TIP, reconstruct
 from scan3d.spatial.march import SpatialRod, reshaped
 
-PAST_TIP = 0.999
-"""Contacts that noise puts past the tip by nearly any part of the rod are used: their places do not depend on the tip."""
 # Where the parameters stand in their vector, by their numbers; the tare follows them.
 STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, SHAPE, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 3, 36))
 # Steps of the differences by the wrench, relative to it, and by the shape of the rod: between their error and rounding.

@@ -19,7 +19,7 @@ from scan3d.calibration.references import Plane, Sphere, unloaded
 from scan3d.errors import InputError
 from scan3d.files.reading import Section, read_rod, read_section, rod_section
 from scan3d.files.text import to_toml
-from scan3d.files.whole import Inputs, check_file, folder, write_atomic
+from scan3d.files.whole import SCHEMA, Inputs, check_file, folder, write_atomic
 from scan3d.frames import Frame, euler_of, to_outer, turn_of
 from scan3d.numbers import length
 from scan3d.recording import Recording, reaction_columns
@@ -465,8 +465,6 @@ _ABOUT_THE_ROD = (
 )
 
 
-# Number of the format.
-_SCHEMA = 1
 _MARK = "# rig calibrated by scan3d\n"
 _FIT = ("chi2_per_freedom", "consistency", "freedom", "sentences")
 
@@ -495,7 +493,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
     names = [name for name, is_known in zip(rig.names, known, strict=True) if is_known]
     reference = {key: value for key, value in rig.reference.items() if key != "kind"}
     return {
-        "schema": _SCHEMA,
+        "schema": SCHEMA,
         "rod": rod_section(rig.rod),
         "sensor": _frame(rig.sensor_position_m, rig.sensor_euler_deg),
         "clamp": _frame(rig.clamp_position_m, rig.clamp_euler_deg),
@@ -536,8 +534,8 @@ def read_rig(path: str | Path) -> Calibration:
     A file by hand needs [rod], [sensor] and [clamp] only; what it lacks of the rest counts as not known.
     """
     data = read_section(path, "rig")
-    if data.integer("schema", _SCHEMA, at_least=0) != _SCHEMA:
-        raise data.error("schema", f"must be {_SCHEMA}, got {data.any('schema')!r}")
+    if data.integer("schema", SCHEMA, at_least=0) != SCHEMA:
+        raise data.error("schema", f"must be {SCHEMA}, got {data.any('schema')!r}")
     rod, sensor, clamp, tare = (data.section(name) for name in ("rod", "sensor", "clamp", "tare"))
     fit, noise, quantities, uncertainty = (data.section(name) for name in ("fit", "noise", "quantities", "uncertainty"))
     uncertainty.any("coverage_factor")

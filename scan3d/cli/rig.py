@@ -237,7 +237,7 @@ def simulate_rig(
 ) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.poses import check_log, map_path, read_poses
+    from scan3d.files.poses import RAW_COLUMNS, map_path, read_poses
     from scan3d.files.reading import read_section
     from scan3d.files.recordings import check_path, sidecar
     from scan3d.files.whole import check_file, check_pair, folder
@@ -251,7 +251,8 @@ def simulate_rig(
     inputs = {"mesh": mesh, "list of poses": poses_file, "file of faults": faults_file}
     inputs |= {"TOML file of the poses": sidecar(poses_file), "file of settings": options.config}
     if faults_file:
-        check_log(out, inputs, overwrite)
+        check_file(map_path(out), inputs, overwrite, "--out")
+        check_file(out, inputs, overwrite, "--out", ",".join(RAW_COLUMNS).encode())
     else:
         check_pair(out, sidecar(out), inputs, overwrite)
     if placed:
@@ -302,11 +303,15 @@ def simulate_rig(
 def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
-    from scan3d.files.poses import RAW_COLUMNS, write_exact_log, write_log
+    from scan3d.files.poses import RAW_COLUMNS, write_log
     from scan3d.files.reading import rod_section
+    from scan3d.files.recordings import recording_files
+    from scan3d.files.whole import write_together
+    from scan3d.poses import MOVES
 
-    if log.faults is None:
-        write_exact_log(log.recording(slice(None)), log.time_s, log.move, path)
+    if log.faults is None:  # readers take the rows of the move sweep only
+        further = {"t_s": log.time_s, "move": np.array(MOVES)[log.move]}
+        write_together(path, recording_files(log.recording(slice(None)), path.name, further))
         return
     values = [log.time_s, *(1000 * log.position_m.T), *log.quaternion.T, *log.wrench.T[:3], *(1000 * log.wrench.T[3:])]
     columns = dict(zip(RAW_COLUMNS, [*map(np.asarray, values), log.sweep], strict=True))
@@ -525,11 +530,11 @@ def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) ->
     path = map_file or raw.with_suffix(".map.toml")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists already; give --overwrite to replace it, or choose another place with --map")
-    guess = guess_map(raw)
+    guess, left = guess_map(raw)
     with folder(path.parent, "--map"):
-        write_atomic(path, guess.text.encode(), "--map")
-    text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(guess.open)}")
-    return print_result(output, {"map": str(path), "open": list(guess.open)}, text)
+        write_atomic(path, guess.encode(), "--map")
+    text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(left)}")
+    return print_result(output, {"map": str(path), "open": list(left)}, text)
 
 
 def _facts(imported: Imported) -> list[tuple[str, str]]:

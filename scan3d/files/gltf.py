@@ -79,11 +79,6 @@ def y_up(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.column_stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]])
 
 
-def z_up(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Vectors (n, 3) in the axes of glTF in those of the world."""
-    return np.column_stack([vectors[:, 0], -vectors[:, 2], vectors[:, 1]])
-
-
 class _Buffers:
     """The binary part of the file, and what describes it."""
 
@@ -152,7 +147,7 @@ def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
                 parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
     extras = tree["asset"].get("extras")
     is_turned = isinstance(extras, Mapping) and extras.get("axes") == _AXES
-    return [(z_up(points), faces) for points, faces in parts] if is_turned else parts
+    return [(points[:, [0, 2, 1]] * [1, -1, 1], faces) for points, faces in parts] if is_turned else parts
 
 
 def _chunks(data: bytes) -> tuple[Any, bytes]:

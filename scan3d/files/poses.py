@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.reading import read_rod, read_section, rod_section
-from scan3d.files.recordings import SCHEMA, TABLE, recording_files, sidecar
+from scan3d.files.recordings import TABLE, sidecar
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
-from scan3d.files.whole import Inputs, check_file, check_pair, write_together
+from scan3d.files.whole import SCHEMA, Inputs, check_pair, write_together
 from scan3d.poses import MOVES, SPEED_M_S, PoseList
-from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
@@ -119,18 +117,6 @@ def map_path(path: str | Path) -> Path:
     """Path of the map beside a raw log."""
     path = Path(path)
     return path.with_name(f"{path.stem}_map.toml")
-
-
-def check_log(path: str | Path, inputs: Inputs, overwrite: bool) -> None:
-    """Raise InputError if a log with faults must not be written at the path, with its map beside it."""
-    check_file(map_path(path), inputs, overwrite, "--out")
-    check_file(path, inputs, overwrite, "--out", ",".join(RAW_COLUMNS).encode())
-
-
-def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8], path: str | Path) -> None:
-    """Write a recording with the columns `t_s` and `move`; readers take the rows of the move sweep only."""
-    path = Path(path)
-    write_together(path, recording_files(recording, path.name, {"t_s": time_s, "move": np.array(MOVES)[move]}))
 
 
 def write_log(

@@ -184,8 +184,7 @@ class Section:
     def integer(self, key: str, default: int | T = REQUIRED, *, at_least: int) -> int | T:
         """A whole number."""
         what = f"a whole number of at least {at_least}"
-        found: int | T = self._value(key, default, what, lambda value: type(value) is int and value >= at_least)
-        return found
+        return self._value(key, default, what, lambda value: type(value) is int and value >= at_least)
 
     def numbers(self, key: str, count: int, default: T = REQUIRED) -> tuple[float, ...] | T:
         """A list of so many finite numbers."""

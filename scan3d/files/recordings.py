@@ -23,7 +23,7 @@ from scan3d.files.binary_tables import parquet_bytes
 from scan3d.files.reading import REQUIRED, Section, read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
-from scan3d.files.whole import locate, source_kind, write_together
+from scan3d.files.whole import SCHEMA, locate, source_kind, write_together
 from scan3d.poses import MOVES, Move
 from scan3d.recording import Recording, completed
 from scan3d.rigs import RigUncertainty
@@ -37,8 +37,6 @@ TABLE = "table_height_m"
 """Name of the table's height in the TOML file."""
 # The column that says what the clamp does in a row.
 _MOVE = "move"
-SCHEMA = 1
-"""Number of the format of the TOML file."""
 
 
 def sidecar(path: str | Path) -> Path:

@@ -34,7 +34,8 @@ REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")
 RESULTS = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
 """The files of a result; not every one has pictures."""
-
+SCHEMA = 1
+"""Number of the formats of reports, and of the TOML files of recordings, poses and rigs."""
 
 Kind = tuple[str, ...]
 """The files of a kind of result, the last of them its report, which names the others with their SHA-256."""

@@ -80,8 +80,7 @@ class Arcs(NamedTuple):
         """How far (m, n) points (m, 3) lie beyond the planes, by the end of the arc at which it is least."""
         ends = self.ends()
         offset = (ends * self.points[:, None]).sum(axis=2)
-        depths: Array = np.minimum(*(points @ ends[:, k].T - offset[:, k] for k in range(2)))
-        return depths
+        return np.minimum(*(points @ ends[:, k].T - offset[:, k] for k in range(2)))
 
     def moved(self, move: Array) -> Arcs:
         """The planes moved outwards by at least `move` (n,), whichever normals of their arcs they have."""
@@ -175,13 +174,11 @@ class _Sight:
 
     def lowest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)
-        lowest: Array = angle - error
-        return lowest
+        return angle - error
 
     def highest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)
-        highest: Array = -angle - error
-        return highest
+        return -angle - error
 
     def arcs(self, low: Array, high: Array) -> Arcs:
         """The arcs between angles (b,)."""

@@ -160,8 +160,7 @@ def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, de
     kept = 1 / (1 + np.outer(damping, roughness))
     misfit = square - ((2 - kept) * kept) @ along**2
     best = np.argmin(misfit / (number - kept.sum(axis=1)) ** 2)
-    coefficients: Array = modes @ (kept[best] * along)
-    return coefficients
+    return modes @ (kept[best] * along)
 
 
 def _roughness(degree: int) -> Array:
@@ -202,8 +201,7 @@ def _sagitta(points: Array, normals: Array, faces: Index) -> Array:
     across_edges = [values[faces] - np.roll(values[faces], 1, axis=1) for values in (points, normals)]
     depth = np.einsum("fex,fex->f", *across_edges).clip(0) / 18
     count = np.bincount(faces.ravel(), minlength=len(points))
-    mean: Array = np.bincount(faces.ravel(), np.repeat(depth, 3), minlength=len(points)) / count
-    return mean
+    return np.bincount(faces.ravel(), np.repeat(depth, 3), minlength=len(points)) / count
 
 
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:

@@ -22,8 +22,7 @@ _FROM_CORNER = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
 
 def dot(a: Array, b: Array) -> Array:
     """Scalar products (...) of vectors (..., 3)."""
-    products: Array = np.einsum("...x,...x->...", a, b)
-    return products
+    return np.einsum("...x,...x->...", a, b)
 
 
 def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
@@ -34,8 +33,7 @@ def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
 
 def spanned(corners: Array) -> Array:
     """Products (m, 3) of the first two edges of triangles (m, 3, 3), from their first corner: normals, twice the area long."""
-    product: Array = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return product
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def face_normals(mesh: Any) -> Array:
@@ -45,8 +43,7 @@ def face_normals(mesh: Any) -> Array:
 
 def largest_of_three(values: Array) -> Array:
     """The largest (m,) of each row of values (m, 3); several times as fast as ``max(axis=1)``."""
-    largest: Array = np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2])
-    return largest
+    return np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2])
 
 
 def areas(corners: Array) -> Array:
@@ -60,8 +57,7 @@ def longest_first(corners: Array) -> Index:
     edges = np.roll(corners, -1, axis=1) - corners
     first, second, third = dot(edges, edges).T
     longest = np.where(third > np.maximum(first, second), 2, second > first)
-    order: Index = _FROM_CORNER[longest]
-    return order
+    return _FROM_CORNER[longest]
 
 
 def halve(corners: Array) -> tuple[Array, Index]:
@@ -78,8 +74,7 @@ def halve(corners: Array) -> tuple[Array, Index]:
 
 def distance_to(points: Array, corners: Array) -> Array:
     """Distances (...) of points (..., 3) from triangles (..., 3, 3), longest edge first, slivers and single points included."""
-    distance: Array = np.linalg.norm(offset_from(points, corners), axis=-1)
-    return distance
+    return np.linalg.norm(offset_from(points, corners), axis=-1)
 
 
 def offset_from(points: Array, corners: Array) -> Array:
@@ -246,8 +241,7 @@ def kept_apart(points: Array, distance: float) -> Index:
     # the first of each cube is the farthest from the middle
     order = np.lexsort((-dot(offset, offset), number))
     first = np.sort(order[np.diff(number[order], prepend=-1) > 0])
-    kept: Index = first[np.unique(representatives(points[first], distance))]
-    return kept
+    return first[np.unique(representatives(points[first], distance))]
 
 
 def collapsed(faces: Index, chosen: Index) -> Index:

@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -45,19 +44,12 @@ _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
 
 
-class Guess(NamedTuple):
-    """A first map: its text, and what it leaves open."""
-
-    text: str
-    open: tuple[str, ...]
-
-
-def guess_map(path: str | Path) -> Guess:
-    """A first map of a table or a ROS bag.  Raises InputError if it can't be read."""
+def guess_map(path: str | Path) -> tuple[str, tuple[str, ...]]:
+    """A first map of a table or a ROS bag, and what it leaves open.  Raises InputError if it can't be read."""
     path = Path(path)
     if is_bag(path):
         bag_files(path)
-        return Guess(_HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod"))
+        return _HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod")
     layout = guessed_layout(path)
     table = read_table(path, layout)
     left: list[str] = []
@@ -99,7 +91,7 @@ def guess_map(path: str | Path) -> Guess:
     if not table.names:
         left.append("columns")
     text = "\n".join([_HEAD, *_layout(layout), "[columns]", *columns, "", "[units]", *units, ""])
-    return Guess(text + _rest("as the sensor's manual says"), (*left, "sensor", "rod"))
+    return text + _rest("as the sensor's manual says"), (*left, "sensor", "rod")
 
 
 def _first(table: Table, pattern: str, parts: int = 2) -> str | None:

@@ -185,7 +185,12 @@ def _converted(table: Table, map: Map) -> Imported:
     sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
     wrench, known = _clamp_wrench(sensed.wrench, log.present, map, table.name)
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
-    _check_range(position, map, table.name)
+    reach = float(np.ptp(position, axis=0).max()) / map.rod.length_m
+    if reach < 0.02:
+        raise InputError(
+            f"{table.name}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and "
+            f"[rod] length_m of {map.name}"
+        )
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise)
     touched = _touching(sensed.wrench, noise, 0.05)  # a part that only contact has
@@ -375,10 +380,10 @@ def _sweeps(
             numbers = np.unique(log.sweep[log.sweep >= 0])
             none = np.isin(log.sweep, numbers[travel_angles(log.sweep, position, quaternion) > np.pi / 2])
         return log.sweep, none, []
-    found = strokes(position, quaternion, map.rod.length_m)
-    counting = np.full(len(found.backwards), True) if both else ~found.backwards
-    sweep = np.append(np.where(counting, np.cumsum(counting) - 1, -1), -1)[found.sweep]
-    backwards = (sweep >= 0) & np.append(found.backwards, False)[found.sweep]
+    stroke, back = strokes(position, quaternion, map.rod.length_m)
+    counting = ~back | both
+    sweep = np.append(np.where(counting, np.cumsum(counting) - 1, -1), -1)[stroke]
+    backwards = (sweep >= 0) & np.append(back, False)[stroke]
     sweep, left = without_transfers(sweep, _touching(wrench, noise), position, quaternion, map.rod.length_m)
     note = (
         f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
@@ -425,15 +430,6 @@ def _speed(recording: Recording, clock: Array) -> float:
     way = np.linalg.norm(np.diff(recording.position_m, axis=0), axis=1)
     moving = same & (time > 0) & (way > 0)
     return float(np.median(way[moving] / time[moving])) if moving.any() else 0.0
-
-
-def _check_range(position_m: Array, map: Map, table: str) -> None:
-    reach = float(np.ptp(position_m, axis=0).max()) / map.rod.length_m
-    if reach < 0.02:
-        raise InputError(
-            f"{table}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and [rod] "
-            f"length_m of {map.name}"
-        )
 
 
 def _check_sizes(recording: Recording, map: Map, table: str) -> None:

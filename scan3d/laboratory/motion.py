@@ -6,13 +6,11 @@ turns.  A stroke without contact is a sweep as well, because it shows that nothi
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory.air import SD_OVER_MAD
 from scan3d.laboratory.maps import Map
@@ -24,19 +22,15 @@ _TURNING = 0.02
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-class Strokes(NamedTuple):
-    """Which stroke each row belongs to."""
+def strokes(position: Array, quaternion: Array, length: float) -> tuple[NDArray[np.int64], Mask]:
+    """The strokes along the x axis of the clamp, of poses (n, 3) and (n, 4); `length` is the rod's.
 
-    sweep: NDArray[np.int64]
-    """(n,) number of the stroke, -1 outside strokes."""
-    backwards: Mask
-    """(s,) whether the stroke is along +x of the clamp's frame."""
-
-
-def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
-    """The strokes along the x axis of the clamp, of poses (n, 3) and (n, 4), in both directions; `length` is the rod's."""
+    (n,) the number of the stroke of each row, -1 outside strokes, and whether each stroke (s,) is along +x.
+    """
     n = len(position)
-    jitter = _jitter(position, length)
+    # standard deviation of the errors of positions, by noise and by rounding
+    jitter = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
+    jitter = jitter if jitter > NEGLIGIBLE * length else 0.0
     axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, 0]
     lag, moved = _displacements(position, jitter)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -55,7 +49,7 @@ def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
         if long and turn <= 0.2 * travel / length + turn_error:
             sweep[start:stop] = len(signs)
             signs.append(sign > 0)
-    return Strokes(sweep, np.array(signs, dtype=bool))
+    return sweep, np.array(signs, dtype=bool)
 
 
 def _travel(position: Array, axis: Array, jitter: float) -> float:
@@ -78,12 +72,6 @@ def _error(values: Array) -> float:
     second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // 20_000)])
     # of three independent errors with the weights 1, -2, 1
     return float(np.median(second, axis=0).max()) * SD_OVER_MAD / float(np.sqrt(6))
-
-
-def _jitter(position: Array, length: float) -> float:
-    """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
-    error = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
-    return error if error > 1e-9 * length else 0.0
 
 
 def _encoder_step(values: Array) -> float:

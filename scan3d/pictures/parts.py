@@ -288,8 +288,7 @@ class ShownSweep:
     @property
     def axes(self) -> Array:
         """(3, 3) the clamp's axes at the first contact, which it keeps in most sweeps."""
-        first: Array = self.turns[0]
-        return first
+        return self.turns[0]
 
     @property
     def contact(self) -> Array:
@@ -353,8 +352,7 @@ def sweep_direction(sweep: ShownSweep) -> Array:
     """(3,) from a sweep toward the camera; rods that bend below the sweep's plane are seen from below."""
     x, y, z = sweep.axes
     side = -1.0 if sweep.slice is None and ((sweep.contact - sweep.base) @ z).mean() < 0 else 1.0
-    direction: Array = side * SWEEP_DIRECTION[2] * z + SWEEP_DIRECTION[1] * y + SWEEP_DIRECTION[0] * x
-    return direction
+    return side * SWEEP_DIRECTION[2] * z + SWEEP_DIRECTION[1] * y + SWEEP_DIRECTION[0] * x
 
 
 def is_spatial(scene: Scene) -> bool:

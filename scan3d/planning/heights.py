@@ -222,8 +222,7 @@ def cuts(
     at, wanted = at[:, widest_first], wanted[:, widest_first]
     numbers = wanted.sum(axis=0)
     wanted &= np.cumsum(numbers) - numbers < count
-    chosen: Array = at.T[wanted.T][:left]
-    return chosen
+    return at.T[wanted.T][:left]
 
 
 def _levels(stack: SliceStack) -> Array:
@@ -235,8 +234,7 @@ def _levels(stack: SliceStack) -> Array:
 
 def _tied(gaps: Array) -> Array:
     """The roots of gaps (n,) over the largest, those that are equal up to rounding made equal."""
-    roots: Array = np.round(np.sqrt(gaps / gaps.max(initial=1e-300)), _TIED_DECIMALS)
-    return roots
+    return np.round(np.sqrt(gaps / gaps.max(initial=1e-300)), _TIED_DECIMALS)
 
 
 def least_parts(gaps: Array, left: int, most: Array, enough: float = 0.0) -> Array:
@@ -282,8 +280,7 @@ def cuts_at(known: Array, slab: Index, roots: Array, below: Array) -> Array:
     a, b = ((density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after))
     # the fraction u with a u + (b - a) u²/2 = below (a + b)/2, without a difference of nearly equal numbers
     at = low + (high - low) * below * (a + b) / (a + np.sqrt(a * a * (1 - below) + b * b * below))
-    cuts: Array = bottom + (top - bottom) * (1 - np.cos(at)) / 2
-    return cuts
+    return bottom + (top - bottom) * (1 - np.cos(at)) / 2
 
 
 def evened(gaps: Array) -> Array:
@@ -302,8 +299,7 @@ def evened(gaps: Array) -> Array:
     for _ in range(_EVENINGS):
         a, b = np.pad(roots, (1, 0))[:-1], np.pad(roots, (0, 1))[1:]
         roots = own * np.sqrt((2 * roots + a + b) * roots / ((roots + a) * (roots + b)))
-    even: Array = roots**2
-    return even
+    return roots**2
 
 
 def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:

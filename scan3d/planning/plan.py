@@ -209,8 +209,7 @@ _ASKEW = (0.2, 0.37, 0.61)
 
 def cosine_fractions(count: int) -> Array:
     """Chebyshev's nodes (count,) between 0 and 1: dense at the ends, where bodies are small."""
-    nodes: Array = (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
-    return nodes
+    return (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
 
 
 def base_fractions(samples: int) -> Array:
@@ -329,8 +328,7 @@ def icosahedron() -> Array:
     golden = (1 + np.sqrt(5)) / 2
     ends = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
     vertices = np.concatenate([np.roll(ends, k, axis=1) for k in range(3)])
-    turned: Array = Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
-    return turned
+    return Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
 
 
 def rasters(points: Array, count: int, clearance: float) -> Lines:

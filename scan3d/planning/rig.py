@@ -53,8 +53,8 @@ TIP_FACTOR = 9.0
 FARTHEST = 0.8
 """Largest distance of the clamp from the bounding body, in rod lengths.  Farther away, hardly any of the rod is left to touch
 with."""
-# Sweeps of each slice, from directions evenly around it.
-_SIDES = 4
+SIDES = 4
+"""Sweeps of each slice, from directions evenly around it."""
 # Corners of the polygon that stands for a circle, around which it lies by 0.1 %.
 _AROUND = 72
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
@@ -290,7 +290,7 @@ def plan_poses(plan: RigPlan) -> PoseList:
 def _check_size(plan: RigPlan) -> None:
     """Raise InputError if the poses of a plan need more memory than there is."""
     planar = plan.model == "planar"
-    lines = plan.slices * (plan.sweeps or _SIDES) if planar else 6 * (plan.sweeps or plan.slices)
+    lines = plan.slices * (plan.sweeps or SIDES) if planar else 6 * (plan.sweeps or plan.slices)
     count, samples = to_float(lines), to_float(plan.samples)
     check_memory(
         420 * count * (samples + 6),  # bytes for each pose, six of which lie between two sweeps
@@ -329,7 +329,7 @@ def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     """Horizontal sweeps: all heights from one side, then from the next."""
     inside = first_heights(space.floor, plan.around.height, Plan(slices=plan.slices, spacing="cosine"))
     heights = np.concatenate([inside[:-2], inside[-1:]])  # none below the table
-    sides = plan.sweeps or _SIDES
+    sides = plan.sweeps or SIDES
     return [
         slice_sweep(plan, space, float(angle), z)
         for number, angle in enumerate(2 * np.pi * np.arange(sides) / sides)

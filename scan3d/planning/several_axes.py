@@ -194,8 +194,7 @@ def _widths(points: Array, axes: Array, outward: Array, thickness: Array, depth:
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     sine = np.sqrt((1 - (normals @ (across / length[:, None]).T) ** 2).clip(_SAME**2))
     in_cap = np.sqrt(2 * radius * np.maximum(depth, least) / length)
-    widths: Array = np.where(np.isnan(depth), np.maximum(thickness, least) / length / sine, in_cap)
-    return widths
+    return np.where(np.isnan(depth), np.maximum(thickness, least) / length / sine, in_cap)
 
 
 def _vertices(opened: _Open, by_axis: list[SliceStack], size: float, *, main: bool) -> list[_Cut]:
@@ -295,5 +294,4 @@ def _within(stack: SliceStack, i: int, parts: int, opened: _Open, k: int) -> lis
     high = heights[i] if i < len(heights) else opened.height[slab, k].max()
     angle = np.arccos(np.clip(1 - 2 * (np.array([low, high]) - bottom) / (top - bottom), -1, 1))
     at = np.arange(1, parts) / parts if parts <= AT_ONCE else np.array([parts // 2 / parts])
-    found: list[float] = (bottom + (top - bottom) * (1 - np.cos(angle[0] + (angle[1] - angle[0]) * at)) / 2).tolist()
-    return found
+    return (bottom + (top - bottom) * (1 - np.cos(angle[0] + (angle[1] - angle[0]) * at)) / 2).tolist()

@@ -25,6 +25,7 @@ from scan3d.reconstruction.contacts import readings, renumbered, rest, without_n
 from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError, felt, noise_in_air, torsion_sd, with_rig_errors
 from scan3d.reconstruction.misfits import (
+    DISTURBED,
     ROUNDING,
     Errors,
     Misfit,
@@ -41,8 +42,6 @@ BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
 LARGEST_SHARE = 0.1
 """Largest part of the rows with a force that may be left out; where more contradict the rest, nothing is certified."""
-# Largest fraction of the rows with a force that may lack a contact or have residuals, as disturbed rows of a measurement.
-_DISTURBED = 0.02
 # A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
 # robot's path may.
 _OFF_LINE = 0.05
@@ -125,11 +124,11 @@ def kappa(count: int) -> float:
 
 def _without_contact(fraction: float) -> list[Contradiction]:
     """Whether too large a fraction of the rows with a force have no contact."""
-    if fraction <= _DISTURBED:
+    if fraction <= DISTURBED:
         return []
     text = (
         f"{share(fraction)} of the rows with a force have no contact: no bent rod has their reactions "
-        f"(at most {share(_DISTURBED)} are expected)"
+        f"(at most {share(DISTURBED)} are expected)"
     )
     return [Contradiction("force-without-contact", text, fraction)]
 
@@ -249,8 +248,7 @@ def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, k: int, normals: Array
         run = abs(slice_.height - other.height) - apart
         rise = np.abs(support - other.support_of_contacts(normals))
         slopes = np.maximum(slopes, rise / run if run > 0 else np.inf)
-    allowed: Array = apart * slopes
-    return allowed
+    return apart * slopes
 
 
 def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
@@ -268,7 +266,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     twisted = float((about_rod.found > about_rod.explained + by_rig).mean())
     skewed = float((along_force.found > along_force.explained).mean())
     found = _without_contact(without)
-    if skewed > _DISTURBED:
+    if skewed > DISTURBED:
         off = np.degrees(np.arcsin(np.minimum(along_force.found / np.hypot(1.0, about_rod.found), 1.0)))
         largest = float(np.percentile(off, 95))
         text = (
@@ -276,7 +274,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
             "than noise and rounding allow: a second contact, or a misaligned or untared sensor"
         )
         found.append(Contradiction("moment-along-force", text, largest))
-    if twisted > _DISTURBED:
+    if twisted > DISTURBED:
         largest = float(np.percentile(about_rod.found, 95))
         text = (
             f"the moment about the rod's axis is up to {number(largest, 2)} of the clamping moment, in {share(twisted)} of the "
@@ -396,7 +394,7 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     allowed = ROUNDING * cloud.rod_length + kappa(len(cloud)) * spatial.noise
     if (rig := with_rig_errors(spatial, recording).calibration) is not None and len(rig.place_sd):
         allowed += rig.factor(FALSE_ALARM) * float(rig.place_sd.max())
-    if lost <= _DISTURBED and error <= allowed:
+    if lost <= DISTURBED and error <= allowed:
         return []
     size = f"contacts are off by up to {length(error, cloud.unit)}" if len(here) else "all of its contacts are lost"
     text = (

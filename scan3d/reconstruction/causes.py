@@ -109,8 +109,7 @@ class Undone(NamedTuple):
         """(k, 6) the wrenches of some rows without the fault, of those (n, 6) that are recorded."""
         matrix = self.matrix[rows] if self.matrix.ndim == 3 else self.matrix
         zero = self.zero[rows] if self.zero.ndim == 2 else self.zero
-        right: Array = np.einsum("...ij,...j->...i", matrix, wrench[rows] - zero)
-        return right
+        return np.einsum("...ij,...j->...i", matrix, wrench[rows] - zero)
 
     def gains(self) -> tuple[float, float]:
         """By how much the noise of force and moment grows at most; their coupling adds less than the noise of either."""

@@ -20,7 +20,14 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.numbers import number, share
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
-from scan3d.reconstruction.misfits import Errors, Misfit, against_single_force, beyond_tangents, depths_in_hull
+from scan3d.reconstruction.misfits import (
+    DISTURBED,
+    Errors,
+    Misfit,
+    against_single_force,
+    beyond_tangents,
+    depths_in_hull,
+)
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -29,9 +36,9 @@ from scan3d.spatial import inverse
 # A fault is named if its correction removes at least this part of the root mean square misfit; it is refined if a first search
 # finds this part.
 _EXPLAINS, _HOPEFUL = 0.8, 0.5
-# And if after its correction no more than this part of the rows, as disturbed rows of a measurement, contradicts
-# by more than so many standard deviations, of many pairs of rows, and this part of the misfit, for its estimated numbers.
-_DISTURBED, _SURELY, _OF_NUMBERS = 0.02, 6.0, 0.01
+# And if after its correction hardly any rows contradict by more than so many standard deviations, of many pairs of rows, and
+# this part of the misfit, for its estimated numbers.
+_SURELY, _OF_NUMBERS = 6.0, 0.01
 # Faults whose mean square misfits differ by less than this factor cannot be told apart; each number must lower it by the root.
 _ALIKE = 4.0
 # Mean square misfit that counts as none.
@@ -202,10 +209,10 @@ class _Trial(NamedTuple):
             return False
         allowed = (_SURELY / _SIGMAS - 1) * self.left.explained + _OF_NUMBERS * np.sqrt(before)
         worst = self.left.excess.max(axis=0)
-        least = worst[worst <= np.quantile(worst, 1 - _DISTURBED)]
+        least = worst[worst <= np.quantile(worst, 1 - DISTURBED)]
         if _mean_square(least) > self.left.level + (_OF_NUMBERS**2) * before:
             return False
-        return float((self.left.excess > allowed).any(axis=0).mean()) <= _DISTURBED
+        return float((self.left.excess > allowed).any(axis=0).mean()) <= DISTURBED
 
     @property
     def score(self) -> float:

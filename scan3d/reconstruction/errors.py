@@ -266,5 +266,4 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
 
 def _along(directions: Array, moved: Array) -> Array:
     """(n,) standard deviations along directions (n, 3) of what moves by (n, 3, p)."""
-    deviations: Array = np.linalg.norm(np.einsum("ni,nip->np", directions, moved), axis=1)
-    return deviations
+    return np.linalg.norm(np.einsum("ni,nip->np", directions, moved), axis=1)

@@ -22,6 +22,8 @@ from scan3d.spatial import inverse
 ROUNDING = 1e-7
 """Rounding of a contact's place, in rod lengths, with the steps of fine converters that too few numbers show, and of the
 residuals of a wrench.  Most faults are a hundred times larger."""
+DISTURBED = 0.02
+"""Largest fraction of the rows with a force that may contradict the others, as disturbed rows of a measurement."""
 
 
 class Misfit(NamedTuple):

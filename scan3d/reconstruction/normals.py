@@ -127,10 +127,10 @@ def with_slice_normals(cloud: Cloud) -> Cloud:
     """The cloud with its normals replaced by those that follow from each slice and its neighbours."""
     normals, source = np.full_like(cloud.normals, np.nan), np.full_like(cloud.normal_source, NormalSource.UNKNOWN)
     for stack in stacks(cloud):
-        for slice_, slopes in zip(stack.slices, height_slopes(stack), strict=True):
+        for slice_, (along_rod, at_tip) in zip(stack.slices, height_slopes(stack), strict=True):
             for part, in_plane, slope, origin in (
-                (slice_.tangential, slice_.normals, slopes.tangential, NormalSource.SLICES),
-                (slice_.tip, slice_.tip_normals, slopes.tip, NormalSource.FRICTION),
+                (slice_.tangential, slice_.normals, along_rod, NormalSource.SLICES),
+                (slice_.tip, slice_.tip_normals, at_tip, NormalSource.FRICTION),
             ):
                 rows = slice_.rows[part]
                 inclined = np.column_stack([in_plane, -slope]) @ stack.frame
@@ -141,26 +141,14 @@ def with_slice_normals(cloud: Cloud) -> Cloud:
     return replace(cloud, normals=normals, normal_source=source)
 
 
-class HeightSlopes(NamedTuple):
-    """∂h/∂z at the contacts of one slice whose in-plane normals are known."""
-
-    tangential: Array
-    """(k,)"""
-    tip: Array
-    """(l,)"""
-
-
-def height_slopes(stack: SliceStack) -> list[HeightSlopes]:
-    """∂h/∂z at the contacts of every slice; NaN where there is only one slice.
+def height_slopes(stack: SliceStack) -> list[tuple[Array, Array]]:
+    """∂h/∂z at the tangential (k,) and at the tip contacts (l,) of every slice; NaN where there is only one slice.
 
     ``(h - <c, n>)²``, with c(z) the Steiner point, is nearly a parabola in z, even at the poles (for ellipsoids it is exactly
     a parabola).  Its cubic spline through the slice and its `NEIGHBOURS` on either side, or as many more on one side as lack on
     the other, gives the slope, which is then clipped to the secants: concavity makes them its bounds.
     """
-    slopes = [
-        HeightSlopes(np.full(len(slice_.tangential), np.nan), np.full(len(slice_.tip), np.nan))
-        for slice_ in stack.slices
-    ]
+    slopes = [(np.full(len(slice_.tangential), np.nan), np.full(len(slice_.tip), np.nan)) for slice_ in stack.slices]
     known = np.flatnonzero([slice_.closed for slice_ in stack.slices])
     if len(known) < 2:
         return slopes
@@ -173,7 +161,7 @@ def height_slopes(stack: SliceStack) -> list[HeightSlopes]:
         normals = np.concatenate([slice_.normals, slice_.tip_normals])
         h = functions.at(np.arctan2(normals[:, 1], normals[:, 0]), near.start, near.stop)
         slope = _slope_at(z[near], h, centers[near], k, normals)
-        slopes[known[i]] = HeightSlopes(slope[: len(slice_.tangential)], slope[len(slice_.tangential) :])
+        slopes[known[i]] = slope[: len(slice_.tangential)], slope[len(slice_.tangential) :]
     return slopes
 
 

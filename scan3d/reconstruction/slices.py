@@ -73,8 +73,7 @@ class Planes(NamedTuple):
         if self.tilt is None:
             return contour_normals
         inside = np.cross(np.cross(normals[rows], contour_normals), self.axis[self.number[rows]])
-        turned: Array = inside / np.linalg.norm(inside, axis=1, keepdims=True)
-        return turned
+        return inside / np.linalg.norm(inside, axis=1, keepdims=True)
 
 
 def planes(recording: Recording, normals: Array, centre: Array, digits: float) -> Planes:
@@ -145,8 +144,7 @@ def _heights(recording: Recording, normals: Array, axis: Array, centre: Array | 
         clamps: Array = (recording.position_m * axis).sum(axis=1)
         return clamps
     over = ((recording.position_m - centre) * normals).sum(axis=1) / (normals * axis).sum(axis=1)
-    heights: Array = axis @ centre + over
-    return heights
+    return axis @ centre + over
 
 
 def _groups(values: Array, same: float) -> NDArray[np.int64]:
@@ -195,8 +193,7 @@ class Slice:
 
     def support_of_contacts(self, normals: Array) -> Array:
         """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
-        value: Array = (normals @ self.corners.T).max(axis=1)
-        return value
+        return (normals @ self.corners.T).max(axis=1)
 
     @property
     def corners(self) -> Array:
@@ -205,8 +202,7 @@ class Slice:
 
     def support(self, angle: Array) -> Array:
         """Support function (n,) at angles (n,), as `SupportFunctions.at`."""
-        value: Array = self._support.at(angle)[0]
-        return value
+        return self._support.at(angle)[0]
 
     @cached_property
     def _support(self) -> SupportFunctions:
@@ -216,8 +212,7 @@ class Slice:
         """(2,) the slice's Steiner point, ``(1/π) ∫ h n dθ``."""
         angle = 2 * np.pi * np.arange(_STEINER_DIRECTIONS) / _STEINER_DIRECTIONS
         h = self.support(angle)
-        point: Array = 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
-        return point
+        return 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
 
 
 class SupportFunctions:
@@ -269,8 +264,7 @@ class SupportFunctions:
         with np.errstate(divide="ignore", invalid="ignore"):
             upper = (a * np.sin(width * (1 - t)) + b * np.sin(width * t)) / sine
         upper = np.where((width < np.pi) & np.isfinite(upper), np.maximum(upper, lower), np.inf)
-        value: Array = np.clip(cubic, lower, upper)
-        return value
+        return np.clip(cubic, lower, upper)
 
 
 @dataclass(frozen=True)
@@ -497,8 +491,7 @@ def _clipped(polygon: Array, normal: Array, value: float) -> Array:
         crossing = polygon + (depth / (depth - its_depth))[:, None] * (following - polygon)
     # each corner is followed by the crossing of the side that begins there
     candidates = np.stack([polygon, crossing], axis=1).reshape(-1, 2)
-    part: Array = candidates[np.stack([depth >= 0, crosses], axis=1).ravel()]
-    return part
+    return candidates[np.stack([depth >= 0, crosses], axis=1).ravel()]
 
 
 def _area(polygon: Array) -> float:

@@ -19,7 +19,7 @@ from scan3d.errors import InputError
 from scan3d.frames import check_positions
 from scan3d.geometry.convexity import check_body, check_convex
 from scan3d.geometry.distance import segments_meet
-from scan3d.poses import Move, PoseList
+from scan3d.poses import TABLE, Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rods import Rod
@@ -31,8 +31,6 @@ from scan3d.units import UNITS_M
 _MEMORY_PER_ROW = 1500
 BETWEEN = -1
 """Number of the sweep in rows between sweeps of a log with faults."""
-TABLE = 0.0
-"""Height of the table on which `standing` places a body."""
 
 
 @dataclass(frozen=True)

@@ -376,8 +376,7 @@ class AxisScan:
         )
         ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
         scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
-        moved: Array = centre + ahead * (centre - before) + scaled * (contour - centre)
-        return moved
+        return centre + ahead * (centre - before) + scaled * (contour - centre)
 
     def _nothing(self, across: Array) -> planar.Sweep:
         """A sweep without contact, past positions (n,) along its base line in rod lengths."""

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import planar
 from planar.inverses import solve
+from planar.uncertainty import DIFFERENCE
 from scan3d.arrays import Array, Index
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod
@@ -31,8 +32,6 @@ from scan3d.spatial.march import SpatialRod
 _STRAIGHT = planar.Rod()
 PAST_TIP = 0.999
 """Tolerance with which contacts that errors put past the tip by nearly the rod's length have a place as well."""
-# Relative step of the differences by which errors of any rod carry over.
-_DIFFERENCE = 3e-4
 
 
 class Status(IntEnum):
@@ -286,12 +285,12 @@ def _errors_by_differences(
     size = np.repeat([np.linalg.norm(f0, axis=1), np.linalg.norm(m0, axis=1)], 3, axis=0)
     reactions = np.concatenate([f0.T, m0.T])
     with np.errstate(all="ignore"):
-        step, n = _DIFFERENCE * np.eye(6)[:, :, None] * size, len(f0)
+        step, n = DIFFERENCE * np.eye(6)[:, :, None] * size, len(f0)
         moved = np.stack([reactions - step, reactions + step]).transpose(2, 0, 1, 3).reshape(6, -1)
         found = march.contacts(rod, moved[:3], moved[3:], None if down is None else np.tile(down, 12))
         along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
         ends = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]).reshape(8, 2, 6, n)
-        rate = (ends[:, 1] - ends[:, 0]) / (2 * _DIFFERENCE * size)
+        rate = (ends[:, 1] - ends[:, 0]) / (2 * DIFFERENCE * size)
         slope = rate.transpose(2, 0, 1)  # of place, tangent, s1 and β (n, 8, 6)
         spread = slope @ covariance @ slope.transpose(0, 2, 1)
         point, variances = spread[:, :3, :3], np.einsum("nii->in", spread)
@@ -317,5 +316,4 @@ def _checked(name: str, values: ArrayLike) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    product: Array = (a * b).sum(axis=1)
-    return product
+    return (a * b).sum(axis=1)

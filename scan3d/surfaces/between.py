@@ -211,8 +211,7 @@ def _contour(angle: Array, support: Array, inside: Array) -> Array:
     corners = inside - edges[:, :2] / edges[:, 2:]
     corners = corners[np.argsort(np.arctan2(*(corners - inside).T))]
     # the middles of the sides, since a corner of two support lines need not belong to the body
-    middles: Array = (corners + np.roll(corners, -1, axis=0)) / 2
-    return middles
+    return (corners + np.roll(corners, -1, axis=0)) / 2
 
 
 @dataclass(frozen=True)
@@ -256,8 +255,7 @@ class _Turn:
         with np.errstate(divide="ignore", invalid="ignore"):
             inside = np.maximum(arc - np.abs(up - fall / turn), 0.0)
             height = np.minimum(up * rise, (1 - up) * fall) - np.where(inside > 0, turn * inside**2 / (4 * arc), 0.0)
-        above: Array = self.thickness * np.fmax(height, 0.0)
-        return above
+        return self.thickness * np.fmax(height, 0.0)
 
 
 def _turn(stack: SliceStack, i: int, angle: Array) -> _Turn:
@@ -303,8 +301,7 @@ class _End:
     @property
     def straight(self) -> Mask:
         """(n,) whether the body goes on straight behind the end."""
-        equal: Mask = np.abs(self.far - self.near) <= STRAIGHT * np.abs(self.near)
-        return equal
+        return np.abs(self.far - self.near) <= STRAIGHT * np.abs(self.near)
 
     def curvature(self) -> Array:
         """The change κ of the slope with height around the end, ``κ = 2ν / (d + d')``; 0 if the body is straight there."""

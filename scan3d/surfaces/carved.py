@@ -126,8 +126,7 @@ def _depth(points: Array, sheets: list[Sheets]) -> Array:
     away = np.stack([sheet.away(points) for sheet in sheets])
     nearest = np.argmin(border + away, axis=0)
     wide = np.where(depth > away, depth, -np.inf).max(axis=0)
-    found: Array = np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
-    return found
+    return np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
 
 
 def _bounded(points: Array, sheets: list[Sheets], spacing: float) -> Index:

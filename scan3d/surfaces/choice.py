@@ -24,9 +24,7 @@ from scan3d.geometry.triangles import collapsed, distance_of_readers, representa
 from scan3d.numbers import length
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
-from scan3d.recording import Recording
 from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, room, with_edges
-from scan3d.surfaces.carved import carved
 from scan3d.surfaces.regression import regression
 
 # A hull with a bound this small, over the diagonal, is taken as it is.
@@ -35,9 +33,7 @@ Estimates = dict[str, Callable[[], Any]]
 """Estimates of a surface by what they are, in words."""
 
 
-def surface(
-    cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = None, recording: Recording | None = None
-) -> Any:
+def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = None) -> Any:
     """Closed surface of a body from its contacts: a `trimesh.Trimesh`, outward, in the cloud's unit.
 
     method
@@ -46,16 +42,13 @@ def surface(
         'support': the support function fitted to the contacts, for smooth bodies.
         'regression': the convex polytope that fits noisy contacts best, weighted by their covariances.
         'poisson', 'ball-pivoting': methods of open3d that do not assume a convex body; ball pivoting may leave holes.
-        'auto': whichever of the methods above but the last two predicts held-out slices best; regression only under noise.  Of
-        a body that is not convex, for which bracket, support and regression are none: `surfaces.carved`.
+        'auto': whichever of the methods above but the last two predicts held-out slices best; regression only under noise.
     bounds
         the cloud's `enclosure`, if it has been computed already.
-    recording
-        of the cloud, whose rods carve the surface of a body that is not convex.
 
     `metadata` has the `method` that was used and the `reason` for it.  Raises InputError for an unknown method, for contacts
-    that do not span a body, for 'support' if the body is not smooth,
-    for 'regression' of a recording without noise, and if open3d is needed but cannot be imported.
+    that do not span a body, for 'support' if the body is not smooth, for 'regression' of a recording without noise, for a body
+    that is not convex by a method that assumes it, and if open3d is needed but cannot be imported.
     """
     if not isinstance(cloud, Cloud):
         raise InputError(
@@ -64,7 +57,10 @@ def surface(
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not cloud.convex and method not in ("hull", *NOT_CONVEX):
-        return _of_hollow_body(cloud, method, recording)
+        raise InputError(
+            f"the method {method} is for convex bodies, and this one is not: choose hull, {' or '.join(NOT_CONVEX)}, or make "
+            "the surface that the rods carve by scan3d.scan or scan3d reconstruct"
+        )
     bounds = bounds or (enclosure(cloud) if method in ("auto", "bracket", "regression") else None)
     if cloud.fattened is not None and method not in NOT_CONVEX:
         return _without_rod(cloud, method, bounds)
@@ -74,7 +70,8 @@ def surface(
             "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
         )
     if method == "hull":
-        return _labelled(_hull(cloud), method, "convex hull of the contacts, as requested")
+        known = cloud.points[np.isfinite(cloud.points).all(axis=1)]
+        return _labelled(hull(known), method, "convex hull of the contacts, as requested")
     if method in NOT_CONVEX:
         from scan3d.surfaces import open3d_methods
 
@@ -88,19 +85,6 @@ def surface(
     if method == "regression":
         return _regression(cloud, bounds, "as requested")
     return _best(cloud, bounds, with_fit=method == "auto")
-
-
-def _of_hollow_body(cloud: Cloud, method: str, recording: Recording | None) -> Any:
-    """The surface of a body that is not convex, by the method auto."""
-    if method != "auto":
-        raise InputError(
-            f"the method {method} is for convex bodies, and this one is not: choose auto, hull, {' or '.join(NOT_CONVEX)}"
-        )
-    if recording is None:
-        raise InputError(
-            "the body is not convex, and its surface is carved by the rods: give the recording as well, recording="
-        )
-    return carved(recording, cloud).surface
 
 
 def _without_rod(cloud: Cloud, method: str, bounds: Enclosure | None) -> Any:
@@ -236,10 +220,6 @@ def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
     proven = length(bounds.bound, cloud.unit, digits=2, up=True)
     reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
     return _labelled(bounds.inner.copy(), "hull", reason)
-
-
-def _hull(cloud: Cloud) -> Any:
-    return hull(cloud.points[np.isfinite(cloud.points).all(axis=1)])
 
 
 def _degree(fit: SupportFit) -> str:

@@ -63,8 +63,7 @@ class Contacts(NamedTuple):
         """(n,) variances across planes with normals (n, 3)."""
         x, y, z = normals.T
         products = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z], axis=1)
-        variance: Array = np.maximum((self.covariance * products).sum(axis=1), 0.0) + self.floor
-        return variance
+        return np.maximum((self.covariance * products).sum(axis=1), 0.0) + self.floor
 
 
 @dataclass(frozen=True)
@@ -79,8 +78,7 @@ class Planes:
 
     def heights(self, points: Array, plane: Index) -> Array:
         """(n,) heights of points (n, 3) over one plane each."""
-        heights: Array = (points * self.normals[plane]).sum(axis=1) - self.offsets[plane]
-        return heights
+        return (points * self.normals[plane]).sum(axis=1) - self.offsets[plane]
 
     def highest(self, points: Array) -> Index:
         """(n, 2) planes that the points (n, 3) lie highest over, and second highest."""
@@ -129,8 +127,7 @@ def _groups(points: Array, normals: Array) -> Index:
     direction = np.where(known[:, None], normals, points - points.mean(axis=0))
     if known.any():
         direction[~known] = normals[known][cKDTree(points[known]).query(points[~known])[1]]
-    group: Index = (direction @ icosphere(subdivisions=1).vertices.view(np.ndarray).T).argmax(axis=1)
-    return group
+    return (direction @ icosphere(subdivisions=1).vertices.view(np.ndarray).T).argmax(axis=1)
 
 
 def fit_planes(contacts: Contacts, group: Index) -> Planes:
@@ -160,8 +157,7 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
 
 def _misfit(contacts: Contacts, planes: Planes, plane: Index) -> Array:
     """(n,) squared misfits of contacts to one plane each."""
-    misfit: Array = planes.heights(contacts.points, plane) ** 2 / contacts.variance(planes.normals[plane])
-    return misfit
+    return planes.heights(contacts.points, plane) ** 2 / contacts.variance(planes.normals[plane])
 
 
 def _limit(misfit: Array) -> float:
