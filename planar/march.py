@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -149,7 +149,7 @@ def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
         rows, before, span = crossings(
             ends,
             state,
-            lambda state, at, length: step(rod, state, at, length),
+            partial(step, rod),
             lambda s, state: -excess(hangs, s, state),
         )
         _refine(rod, found, rows, before, *span)
@@ -244,51 +244,66 @@ def overhang(rod: Rod) -> Overhang:
 
 @lru_cache(maxsize=8)
 def _overhang(rod: Rod) -> Overhang:
-    """The moment ``M_o(s, φ)``: a polynomial in s between two knots, whose coefficients are Fourier series in φ.
-
-    The rod is marched back from its tip, free of force and moment, for slopes of the tip all around.
-    """
+    """The moment ``M_o(s, φ)``, a Fourier series in φ along the rod."""
     if rod.weight == 0:
         return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
     turns = np.arange(_TIP_SLOPES) * (2 * np.pi / _TIP_SLOPES)
-    state = started(rod, np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
     orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
-    nodes = chebyshev.chebpts1(_LENGTHS)[::-1]
-    tables = []
-    knots = np.array(rod.profile.knots)
-    for start, end in zip(knots[-2::-1], knots[:0:-1], strict=True):
-        at, rows = end, []
-        for place in np.append((start + end) / 2 + (end - start) / 2 * nodes, start):
-            state = step(rod, state, at, place - at)
-            at = place
-            phi = np.unwrap(np.arctan2(state[1], state[0]))
-            if not (np.diff(phi, append=phi[0] + 2 * np.pi) > 0).all():
-                raise ValueError(
-                    f"a rod of weight {rod.weight:g} EI/L² takes more than one shape under its weight; is it so heavy?"
-                )
-            rows.append(np.linalg.lstsq(np.exp(1j * np.outer(phi, orders)), state[2] + 0j, rcond=None)[0])
-        tables.append(np.linalg.solve(chebyshev.chebvander(nodes, _LENGTHS - 1), np.array(rows[:-1])))
-    tables = tables[::-1]
-    # orders that are rounding, which many slopes sum up, are left out
-    size = np.abs(np.array(tables)).max(axis=0)
-    kept = size > _TIP_SLOPES * np.finfo(float).eps * size.max()
-    lengths, harmonics = int(np.flatnonzero(kept.any(axis=1))[-1]) + 1, int(np.abs(orders[kept.any(axis=0)]).max())
-    middle = len(orders) // 2
-    # the moment is real: the series of positive orders is enough
-    series = np.array(tables)[:, :lengths, middle : middle + harmonics + 1]
-    series[:, :, 1:] *= 2
+
+    def fourier(state: Array) -> Array:
+        phi = np.unwrap(np.arctan2(state[1], state[0]))
+        if not (np.diff(phi, append=phi[0] + 2 * np.pi) > 0).all():
+            raise ValueError(
+                f"a rod of weight {rod.weight:g} EI/L² takes more than one shape under its weight; is it so heavy?"
+            )
+        found = np.linalg.lstsq(np.exp(1j * np.outer(phi, orders)), state[2] + 0j, rcond=None)[0][orders >= 0, None]
+        found[1:] *= 2  # the moment is real: the series of positive orders is enough
+        return np.asarray(found)
+
+    state = started(rod, np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
+    series = along(rod.profile, partial(step, rod), state, fourier)
 
     def moment(s: ArrayLike, turn: Array) -> Array:
-        piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(series) - 1)
-        start, end = knots[piece], knots[piece + 1]
-        powers = chebyshev.chebvander(
-            np.clip((2 * np.asarray(s) - start - end) / (end - start), -1.0, 1.0), lengths - 1
-        )
-        if np.ndim(s) == 0:
-            return np.asarray(polynomial.polyval(turn, powers[0] @ series[piece]).real)
-        weights = np.empty((len(turn), harmonics + 1), dtype=complex)
-        for k in np.unique(piece):
-            weights[piece == k] = powers[piece == k] @ series[k]
-        return np.asarray(polynomial.polyval(turn, weights.T, tensor=False).real)
+        return np.asarray(polynomial.polyval(turn, series(s).T[0], tensor=False).real)
 
     return moment
+
+
+def along(
+    profile: Profile, step: Callable[[Array, float, float], Array], tips: Array, fitted: Callable[[Array], Array]
+) -> Callable[[ArrayLike], Array]:
+    """Numbers (c, k) of the parts of a rod that hang free past arc lengths s, one or (n,): (c, k) or (n, c, k).
+
+    They are polynomials in s between two knots, through what is `fitted` to states that are marched back from those of tips.
+    """
+    knots, tables = np.array(profile.knots), []
+    for start, end in zip(knots[-2::-1], knots[:0:-1], strict=True):
+        nodes = chebyshev.chebpts1(int(np.ceil(_LENGTHS * np.sqrt(end - start))))[::-1]
+        at, rows = end, []
+        for place in np.append((start + end) / 2 + (end - start) / 2 * nodes, start):
+            tips = step(tips, at, place - at)
+            at = place
+            rows.append(fitted(tips))
+        values = np.array(rows[:-1])
+        found = np.linalg.solve(chebyshev.chebvander(nodes, len(nodes) - 1), values.reshape(len(nodes), -1))
+        tables.append(np.concatenate([found, np.zeros((_LENGTHS - len(nodes), found.shape[1]))]))
+    series = np.array(tables[::-1]).reshape(len(tables), _LENGTHS, *values.shape[1:])
+    # what is rounding, which many tips sum up, is left out
+    size = np.abs(series).max(axis=(0, 3))
+    kept = size > tips.shape[1] * np.finfo(float).eps * size.max()
+    lengths, count = (int(np.flatnonzero(kept.any(axis=axis))[-1]) + 1 for axis in (1, 0))
+    series = series[:, :lengths, :count]
+
+    def numbers(s: ArrayLike) -> Array:
+        piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(series) - 1)
+        start, end = knots[piece], knots[piece + 1]
+        part = np.clip((2 * np.asarray(s) - start - end) / (end - start), -1.0, 1.0)
+        powers = chebyshev.chebvander(part, lengths - 1)
+        if np.ndim(s) == 0:
+            return np.asarray(np.tensordot(powers[0], series[piece], 1))
+        found = np.empty((len(powers), *series.shape[2:]), dtype=series.dtype)
+        for k in np.unique(piece):
+            found[piece == k] = np.tensordot(powers[piece == k], series[k], 1)
+        return found
+
+    return numbers

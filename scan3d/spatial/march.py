@@ -13,22 +13,28 @@ the first one, and the residuals ``e·t`` and ``e·F`` remain.  Friction does no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
 
-from planar.march import STEPS, crossings, enough_steps, grid, tableau
+from planar.march import STEPS, along, crossings, enough_steps, grid, tableau
 from planar.rods import Profile
 from scan3d.arrays import Array, Index
 
 _BLOCK = 512
 # Arc length up to which a contact past the tip is sought.
 _LONGEST = 2.0
-# Shots at the moment of the part that hangs free, at most, and the moment left at the tip that ends them.
-_SHOTS, _SETTLED = 40, 1e-13
+# Rounds of an iteration at most, and the change that ends it; degrees of the polynomials in the direction of gravity, of which
+# the first that fits so well is taken, and the misfit of the last beyond which a rod is too heavy for them.
+_ROUNDS, _SETTLED = 40, 1e-12
+_DEGREES, _AGREED = (8, 12, 16, 24), 1e-9
 # Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
 _M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
 _CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
@@ -105,12 +111,11 @@ def contacts(
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
     """Support reactions ``f0`` and ``m0`` (3, n) of the rod in the air under gravity along unit vectors (3, n)."""
     down = np.asarray(gravity, dtype=float)
-    moment, base = np.zeros_like(down), np.zeros(down.shape[1])
-    for _ in range(_SHOTS):
+    moment = np.zeros_like(down)
+    for _ in range(_ROUNDS):  # a clamp that gives: a contraction for clamps that hold
         state = _start(rod, np.zeros_like(down), moment, down)
-        left = _rotated(state[_Q], _left(rod, base, state, state[_M]))
-        moment = moment - left
-        if not (np.abs(left) > _SETTLED).any():
+        before, moment = moment, _rotated(state[_Q], _overhang(rod)(0.0, state))
+        if not (np.abs(moment - before) > _SETTLED).any():
             break
     return -rod.profile.weight * down, -moment
 
@@ -138,7 +143,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
-    unknown, approach = np.full((9, start.shape[1]), np.nan), _approach(rod)
+    unknown, hangs = np.full((9, start.shape[1]), np.nan), _overhang(rod)
     found = Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
     # past the tip the rod goes on with the stiffness there and without weight
     ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
@@ -146,8 +151,8 @@ def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marche
         falling = crossings(
             ends,
             start,
-            lambda state, at, length: _step(rod, state, at, length),
-            lambda s, state: _turning(state, approach(s, state)),
+            partial(_step, rod),
+            lambda s, state: _turning(state, hangs(s, state)),
         )
         _refine(rod, found, *falling)
     return found
@@ -176,18 +181,14 @@ def _refine(rod: SpatialRod, found: Marched, rows: Index, before: Array, span: A
     """Fill in rows (m,) whose `_turning` falls through zero in steps from the states `before` (16, m), as of `crossings`."""
     start, length, low, high = span
     part = np.clip(length * low / (low - high), 0.0, length)
-    hanging, approach = np.zeros((3, len(rows))), _approach(rod)
-    offset = np.zeros_like(hanging)
-    for _ in range(_SHOTS if rod.profile.weight else 3):
+    hangs = _overhang(rod)
+    for _ in range(_ROUNDS if rod.profile.weight else 3):
         state = _step(rod, before, start, part)
-        hanging = approach(start + part, state) + offset
+        hanging = hangs(start + part, state)
         across, bending = _turning_rates(rod, start + part, state, hanging)
         change = _turning(state, hanging) / (across - bending)
-        if rod.profile.weight:
-            left = _left(rod, np.minimum(start + part, 1.0), state, hanging)
-            offset = offset - left
         part = part + change
-        if rod.profile.weight and not (np.abs(np.concatenate([left, change[None]])) > _SETTLED).any():
+        if not (np.abs(change) > _SETTLED).any():
             break
     # where the moment that is left turns the rod by more than the force does, no rod comes near these reactions
     part = np.where(np.abs(bending) < across, part, np.nan)
@@ -202,53 +203,57 @@ def _refine(rod: SpatialRod, found: Marched, rows: Index, before: Array, span: A
     found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0)
 
 
-def _left(rod: SpatialRod, s: Array, state: Array, moment: Array) -> Array:
-    """What is left of moments (3, n) at the tips of parts that hang free past s (n,), in the material frame at their roots.
-
-    What the moments at their roots are wrong by, less the weight's lever: taking it off again and again ends in those of
-    the free rod.
-    """
-    free, at = state.copy(), s
-    free[_M], free[_N] = moment, 0.0
-    for upper in grid(rod.profile, STEPS):
-        end = np.maximum(at, upper)
-        if (end > at).any():
-            free = _step(rod, free, at, end - at)
-        at = end
-    return _rotated(state[_Q] * _CONJUGATE, _rotated(free[_Q], free[_M]))
+Overhang = Callable[[ArrayLike, Array], Array]
+"""Moments (3, n) at the roots of parts of a rod that hang free past arc lengths s, one or (n,), in frames of states there."""
 
 
 @lru_cache(maxsize=8)
-def _shape(rod: SpatialRod) -> tuple[Array, Array]:
-    """Arc lengths (k,), and ``∫ (weight past σ) t dσ`` (k, 3) over the parts of the free rod past them, in frames there."""
-    s = np.linspace(0.0, 1.0, 129)
-    free = replace(rod, profile=replace(rod.profile, weight=0.0))
-    state = np.zeros((16, 1))
-    state[9] = 1.0
-    frames = [state]
-    for at, length in zip(s[:-1], np.diff(s), strict=True):
-        frames.append(_step(free, frames[-1], at, length))
-    quaternions = np.stack(frames)[:, _Q, 0].T
-    axis = np.zeros((3, len(s)))
-    axis[2] = 1.0
-    density = rod.profile.weight_past(s) * _rotated(quaternions, axis)
-    pieces = (density[:, 1:] + density[:, :-1]) / 2 * np.diff(s)
-    total = np.concatenate([np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1], np.zeros((3, 1))], axis=1)
-    inverse = quaternions * _CONJUGATE
-    return s, _rotated(inverse, total).T
+def _overhang(rod: SpatialRod) -> Overhang:
+    """The moment that the direction of gravity in the material frame determines, as a polynomial in it.
 
-
-def _approach(rod: SpatialRod) -> Callable[[Array | float, Array], Array]:
-    """First estimates of the moments of parts that hang free: those of their shapes without weight."""
+    The rod is marched back from its tip, free of force and moment, for directions all around.
+    """
     if rod.profile.weight == 0:
         return lambda s, state: np.zeros((3, state.shape[1]))
-    grid_s, arms = _shape(replace(rod, profile=replace(rod.profile, weight=1.0), compliance=0.0))
+    for degree in _DEGREES:
+        tips = np.zeros((16, 2 * (degree + 1) ** 2))
+        count = np.arange(0.5, tips.shape[1])  # evenly on the sphere, along a spiral of the golden ratio
+        height, turn = 1 - 2 * count / tips.shape[1], np.pi * (1 + math.sqrt(5)) * count
+        tips[_G] = [*np.sqrt(1 - height * height) * [np.cos(turn), np.sin(turn)], height]
+        tips[_Q.start] = 1.0
+        clamp = tips
+        for end, at in pairwise(grid(rod.profile, STEPS)[::-1].tolist()):
+            clamp = _step(rod, clamp, end, at - end)
+        misfit = float(np.abs(_harmonics(clamp[_G], degree).T @ _fitted(clamp, degree) - clamp[_M].T).max())
+        if misfit < _SETTLED:
+            break
+    if not misfit < _AGREED:
+        raise ValueError(f"a rod of weight {rod.profile.weight:g} EI/L² bends too much under it; is it so heavy?")
+    series = along(rod.profile, partial(_step, rod), tips, partial(_fitted, degree=degree))
 
-    def moment(s: Array | float, state: Array) -> Array:
-        arm = rod.profile.weight * np.stack([np.interp(s, grid_s, column) for column in arms.T])
-        return _cross(arm, state[_G])
+    def moment(s: ArrayLike, state: Array) -> Array:
+        coefficients = series(s)
+        basis = _harmonics(state[_G], degree)[: coefficients.shape[-2]]
+        return np.asarray(coefficients.T @ basis if np.ndim(s) == 0 else np.einsum("nck,cn->kn", coefficients, basis))
 
     return moment
+
+
+def _fitted(state: Array, degree: int) -> Array:
+    """(c, 3) coefficients of the polynomials that have the moments of states."""
+    q, r = np.linalg.qr(_harmonics(state[_G], degree).T)
+    return np.asarray(np.linalg.solve(r, q.T @ state[_M].T))
+
+
+def _harmonics(direction: Array, degree: int) -> Array:
+    """(c, n) the polynomials up to a degree that differ on unit vectors (3, n)."""
+    polynomials, across = chebyshev.chebvander(direction[2], degree).T, direction[0] + 1j * direction[1]
+    parts, power = [polynomials], np.ones_like(across)
+    for order in range(1, degree + 1):
+        power = power * across
+        part = polynomials[: degree + 1 - order] * power
+        parts += [part.real, part.imag]
+    return np.concatenate(parts)
 
 
 def _step(rod: SpatialRod, state: Array, s: Array | float, length: Array | float) -> Array:
