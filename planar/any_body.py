@@ -17,17 +17,17 @@ coefficient except where that snapped earlier or later.  A rod that finds no equ
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planar import settling
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, ratio
 from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
 from planar.several import MOST, Rods, free_rods, reactions, shapes, solve
 from planar.singles import JUMP, Singles, Start
+from planar.tables import Explained
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
 # across a fold, which the chain in its coarseness must see.
@@ -46,26 +46,17 @@ _TOGETHER = 4
 _SAME = 0.05
 
 
-class SweepStatus(IntEnum):
+class SweepStatus(Explained):
     """What is known of the rod at a base position; `sentence` explains it."""
 
-    FREE = 0
-    ONE_CONTACT = 1
-    SEVERAL_CONTACTS = 2
-    UNRESOLVED = 3
-
-    @property
-    def sentence(self) -> str:
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    SweepStatus.FREE: "the rod touches nothing",
-    SweepStatus.ONE_CONTACT: "the rod touches at one place",
-    SweepStatus.SEVERAL_CONTACTS: "the rod touches at several places; point, slope and s1 are those of the first along the rod",
-    SweepStatus.UNRESOLVED: "no equilibrium of the rod was found here, so that nothing is known of its contacts: it is caught, "
-    "stands like a strut, or has more than three contacts",
-}
+    FREE = 0, "the rod touches nothing"
+    ONE_CONTACT = 1, "the rod touches at one place"
+    SEVERAL_CONTACTS = 2, "the rod touches at several places; point, slope and s1 are those of the first along the rod"
+    UNRESOLVED = (
+        3,
+        "no equilibrium of the rod was found here, so that nothing is known of its contacts: it is caught, "
+        "stands like a strut, or has more than three contacts",
+    )
 
 
 @dataclass(frozen=True)
@@ -291,8 +282,7 @@ class _Sweeps:
         travel = before.x0 - now.x0
         same = (travel > 0) & (before.count == now.count) & (now.count > 0)
         same &= ((before.piece == now.piece) & (before.tip == now.tip) & ~before.sticks & ~now.sticks).all(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(same, np.minimum((now.x0 - trial.x0) / travel, 2.0), 0.0)
+        share = np.where(same, np.minimum(ratio(now.x0 - trial.x0, travel), 2.0), 0.0)
         trial.kappa = now.kappa + share * (now.kappa - before.kappa)
         for name in ("force", "s", "u"):
             old, new = getattr(before, name), getattr(now, name)

@@ -15,3 +15,9 @@ ROUNDING = 1e-13
 """Rounding of lengths, in rod lengths or relative to the size of a contour."""
 BLOCK = 8192
 """Rows processed at once, whose intermediate results stay in the processor's cache."""
+
+
+def ratio(over: Array | float, under: Array) -> Array:
+    """`over / under`, infinite or NaN without a warning where `under` is 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return over / under

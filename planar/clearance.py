@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, ratio
 from planar.pieces import piece
 
 # Points of a rod up to its contact; its polynomials of fifth order between them are exact to some 1e-11.
@@ -95,8 +95,7 @@ def _offsets(rods: Lines, row: Index, x: Array, y: Array) -> Array:
     k = np.clip(k, 0, count - 2)
     ax, ay, bx, by = rods.x[row, k], rods.y[row, k], rods.x[row, k + 1], rods.y[row, k + 1]
     length = np.hypot(bx - ax, by - ay)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        offset: Array = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length
+    offset: Array = ratio((bx - ax) * (y - ay) - (by - ay) * (x - ax), length)
     bow = np.maximum(np.abs(rods.kappa[row, k]), np.abs(rods.kappa[row, k + 1])) * length**2 / 8
     near = np.flatnonzero(~((offset > 1.1 * bow + 1e-7) | (offset < -1e-7)))
     r, k, target, height = row[near], k[near], x[near], y[near]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planar.arrays import Array, Mask
+from planar.arrays import Array, Mask, ratio
 from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
 
 # Upper bound of the steps of Newton's method or bisection for a tip contact; in 300,000 random contacts at most 32 were needed.
@@ -47,8 +47,7 @@ def is_tangential(slope: Array, y: Array, friction_angle: Array) -> Mask:
 def overhang(slope: Array, y: Array, friction_angle: Array) -> Array:
     """Height of the place above that of a rod whose tip touches tangentially, in rod lengths: positive in tip contact."""
     shape = bend(slope + friction_angle, tangential_q(slope, friction_angle))
-    with np.errstate(invalid="ignore"):
-        height = np.where(slope > np.pi / 2 - _UPRIGHT, 1.0, shape.y / shape.length)
+    height = np.where(slope > np.pi / 2 - _UPRIGHT, 1.0, ratio(shape.y, shape.length))
     # only the straight rod reaches y = 1, and only with its tip
     return np.where(y >= 1.0, np.maximum(y - height, np.finfo(float).eps), y - height)
 

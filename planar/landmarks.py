@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,34 +12,25 @@ from planar import plots, segments
 from planar.arrays import Array, Index
 from planar.contours import Contour, check_contour, mirrored
 from planar.paths import Path
-from planar.tables import to_frame, words
+from planar.tables import Explained, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
 
-class EventKind(IntEnum):
+class EventKind(Explained):
     """Kind of event; `reason` explains it."""
 
-    TOUCH_DOWN = 0
-    TO_TANGENTIAL = 1
-    TO_TIP = 2
-    SNAP = 3
-    SNAP_OFF = 4
+    TOUCH_DOWN = 0, "the straight rod touches the contour"
+    TO_TANGENTIAL = 1, "the contact leaves the tip and becomes tangential"
+    TO_TIP = 2, "the contact reaches the tip"
+    SNAP = 3, "the equilibrium ends in a fold: the contact jumps along the contour to the next one"
+    SNAP_OFF = 4, "the equilibrium ends in a fold, and no other exists further along: the rod leaves the contour"
 
     @property
     def reason(self) -> str:
-        return _REASONS[self]
-
-
-_REASONS = {
-    EventKind.TOUCH_DOWN: "the straight rod touches the contour",
-    EventKind.TO_TANGENTIAL: "the contact leaves the tip and becomes tangential",
-    EventKind.TO_TIP: "the contact reaches the tip",
-    EventKind.SNAP: "the equilibrium ends in a fold: the contact jumps along the contour to the next one",
-    EventKind.SNAP_OFF: "the equilibrium ends in a fold, and no other exists further along: the rod leaves the contour",
-}
+        return self.sentence
 
 
 @dataclass(frozen=True, repr=False)

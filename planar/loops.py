@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask
+from planar.arrays import ROUNDING, Array, Index, Mask, ratio
 
 # Points on each loop by which the nearest piece is found, and how many of the nearest are asked for theirs.
 _POINTS, _NEAREST = 1200, 6
@@ -171,8 +171,7 @@ class Outlines:
             d1[arc] = 2 * np.pi * (cos * axes[:, 2] - sin * axes[:, 1])
             d2[arc] = -((2 * np.pi) ** 2) * radial
         tau = np.arctan2(d1[:, 1], d1[:, 0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = (d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / (d1**2).sum(axis=1) ** 1.5
+        curvature = ratio(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0], (d1**2).sum(axis=1) ** 1.5)
         tau = np.where(vertex, self.tau0[carrier] + u * self.turn[piece], tau)
         curvature = np.where(vertex, np.copysign(np.inf, self.turn[piece]), curvature)
         return Place(point, np.where(vertex[:, None], 0.0, d1), tau, curvature)
@@ -234,8 +233,7 @@ class Outlines:
         # the place on a vertex by the direction of the normal
         around = np.arctan2(normal[:, 0], -normal[:, 1]) - self.tau0[self.anchor[end]]
         around = np.remainder(around + np.pi, 2 * np.pi) - np.pi
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.clip(around / self.turn[end], 0.0, 1.0)
+        share = np.clip(ratio(around, self.turn[end]), 0.0, 1.0)
         convex = corner & (self.turn[end] > 0)
         return Nearest(sign * far, np.where(convex, end, piece), np.where(convex, share, u), normal)
 

@@ -22,7 +22,7 @@ from planar.inverses import METHODS, solve
 from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
 from planar.sweeping import Phase
-from planar.tables import counted, to_frame, words
+from planar.tables import Explained, counted, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
@@ -33,34 +33,21 @@ TOLERANCE = 1e-9
 is exact to some 1e-13."""
 
 
-class Status(IntEnum):
+class Status(Explained):
     """Whether a row of reactions gives a contact, and if not, why; `sentence` explains it."""
 
-    OK = 0
-    NO_FORCE = 1
-    WRONG_SIDE = 2
-    NO_ROD = 3
-    INFLECTION = 4
-    BEYOND_TIP = 5
-    UNDEFINED = 6
-    SECOND_CONTACT = 7
-
-    @property
-    def sentence(self) -> str:
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Status.OK: "a contact",
-    Status.NO_FORCE: "nothing touches: there is no force, or a value is missing or infinite",
-    Status.WRONG_SIDE: "the clamping moment is that of a rod bent against the sweep; check its sign or the direction",
-    Status.NO_ROD: "no rod has these reactions: the moment is more than the force can hold",
-    Status.INFLECTION: "the rod would have to be pulled along the contour (a friction angle below 0), or it has an "
-    "inflection before its contact",
-    Status.BEYOND_TIP: "the contact would lie past the rod's tip",
-    Status.UNDEFINED: "equation (10) is undefined here: the force is steeper than the clamp",
-    Status.SECOND_CONTACT: "the rod touches at a second place, so that its reactions give neither of the two",
-}
+    OK = 0, "a contact"
+    NO_FORCE = 1, "nothing touches: there is no force, or a value is missing or infinite"
+    WRONG_SIDE = 2, "the clamping moment is that of a rod bent against the sweep; check its sign or the direction"
+    NO_ROD = 3, "no rod has these reactions: the moment is more than the force can hold"
+    INFLECTION = (
+        4,
+        "the rod would have to be pulled along the contour (a friction angle below 0), or it has an "
+        "inflection before its contact",
+    )
+    BEYOND_TIP = 5, "the contact would lie past the rod's tip"
+    UNDEFINED = 6, "equation (10) is undefined here: the force is steeper than the clamp"
+    SECOND_CONTACT = 7, "the rod touches at a second place, so that its reactions give neither of the two"
 
 
 class NormalSource(IntEnum):

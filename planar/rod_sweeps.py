@@ -420,6 +420,5 @@ def _solved(rod: Rod, course: Course, start: Equilibria, x0: Array) -> Equilibri
             break
         steps *= 2
     slope = course.at(states.place)[0]
-    with np.errstate(invalid="ignore"):
-        kept = np.where(states.tangential, states.other <= 1 + _AGREED, states.other >= slope - _AGREED)
+    kept = np.where(states.tangential, states.other <= 1 + _AGREED, states.other >= slope - _AGREED)
     return _known(rod, course, states, found & (states.force >= 0) & kept, steps)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planar import equilibria
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, ratio
 from planar.elastica import bend_with_slopes
 from planar.paths import Path
 
@@ -118,8 +118,7 @@ def _cut_at_short_tangencies(path: Path, segments: Segments, tangential_at_end: 
     t, width = np.full(len(rows), 0.5), 0.5
     for _ in range(_PARABOLAS):
         before, here, after = overhang(t - width), overhang(t), overhang(t + width)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = (before - after) / (before + after - 2 * here) / 2
+        step = ratio(before - after, before + after - 2 * here) / 2
         t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / _NARROWING
         t = np.clip(t, width, 1 - width)
     touches = overhang(t) < 0

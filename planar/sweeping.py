@@ -361,7 +361,10 @@ def _parted(swept: Sweep, x0: list[Array]) -> list[Sweep]:
     parts = [slice(end - len(base), end) for end, base in zip(ends, x0, strict=True)]
     sweeps = [Sweep(**{name: column[part] for name, column in vars(swept).items()}) for part in parts]
     for finished in sweeps:
-        _end(finished)
+        # once the rod has left the object, it does not touch it again, whatever the friction of later samples
+        touching = finished.phase != Phase.NONE
+        has_touched = np.maximum.accumulate(touching)
+        _clear(finished, has_touched & ~np.logical_and.accumulate(touching | ~has_touched))
     return sweeps
 
 
@@ -488,13 +491,6 @@ def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep
     swept.s1[samples], swept.slope[samples] = np.minimum(state.s1, 1.0), slope  # at transitions up to rounding
     swept.point[samples] = np.stack([x, y], axis=1)
     swept.phase[samples] = np.where(table.tangential[row], Phase.TANGENTIAL, Phase.TIP)
-
-
-def _end(swept: Sweep) -> None:
-    """Once the rod has left the object, it does not touch it again, whatever the friction of later samples."""
-    touching = swept.phase != Phase.NONE
-    has_touched = np.maximum.accumulate(touching)
-    _clear(swept, has_touched & ~np.logical_and.accumulate(touching | ~has_touched))
 
 
 def _clear(swept: Sweep, samples: Mask) -> None:

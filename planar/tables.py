@@ -15,6 +15,17 @@ if TYPE_CHECKING:
     import pandas
 
 
+class Explained(IntEnum):
+    """Codes with a sentence that explains each: ``NAME = number, sentence``."""
+
+    sentence: str
+
+    def __new__(cls, value: int, sentence: str = "") -> Explained:
+        member = int.__new__(cls, value)
+        member._value_, member.sentence = value, sentence
+        return member
+
+
 def words(values: NDArray[np.int8], kinds: type[IntEnum]) -> list[str]:
     """The names (n,) of coded values (n,)."""
     return [kinds(value).name.lower() for value in values.tolist()]

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planar.arrays import ratio as ratio
+
 Array = NDArray[np.float64]
 Index = NDArray[np.integer[Any]]
 Mask = NDArray[np.bool_]
@@ -51,8 +53,8 @@ def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -
 
 
 def unit(vectors: Array) -> Array:
-    """Vectors (..., 3) scaled to unit length."""
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    """Vectors (..., 3) scaled to unit length, NaN where they have none."""
+    return ratio(vectors, np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def unit_or_zero(vectors: Array) -> Array:

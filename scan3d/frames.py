@@ -11,6 +11,7 @@ Turns are rotation matrices, or Euler angles about fixed axes in the order x, y,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,19 @@ def check_positions(what: str, position_m: Array, length_m: float) -> None:
             "coarse for a rod of "
             f"{length(length_m, 'm')}; check its unit, or take a frame near the body"
         )
+
+
+def check_columns(what: str, columns: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise InputError, about `what`, unless columns have these shapes, the first of which is their length, and are finite."""
+    for name, shape in shapes.items():
+        column = np.asarray(columns[name])
+        if column.shape != shape:
+            raise InputError(f"{what}: {name} must have the shape {shape}, got {column.shape}")
+        bad = ~np.isfinite(column.astype(float)).reshape(shape[0], -1).all(axis=1)
+        if bad.any():
+            raise InputError(
+                f"{what}: {name} is not a number in {bad.sum()} of {len(bad)} rows, first in row {np.argmax(bad) + 1}"
+            )
 
 
 def check_orientations(what: str, quaternion: Array) -> None:

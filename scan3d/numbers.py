@@ -9,8 +9,10 @@ hold all digits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
+from numbers import Real
 
 from scan3d.units import UNITS_M
 
@@ -27,6 +29,14 @@ MOMENTS: dict[str, Decimal] = {
 """The units in which moments are written, in N m."""
 # Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
 _DIGITS, _MOST_DIGITS = 3, 7
+
+
+def is_finite(value: object) -> bool:
+    """Whether it is one real number, of Python or numpy, and finite; a whole number may be too large for a float."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def number(value: float, digits: int = _DIGITS) -> str:

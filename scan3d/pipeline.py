@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.bounds import certificate, enclosure, unbounded, withdrawn
+from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
 from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
@@ -34,7 +34,7 @@ from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
-from scan3d.report import Analysis, key_figures, report
+from scan3d.report import Analysis, key_figures, report, rounded
 from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
@@ -104,7 +104,7 @@ def scan(
     if out is None:
         clock = Clock(step=step)
         analysis = analyse(*record(clock), chosen.method, reach=chosen.reach, clock=clock)
-        return analysis, report(analysis, settings=settings, friction_set=chosen.friction, timings_s=clock.seconds)
+        return analysis, report(analysis, settings=settings)
     with replacing(out, inputs=read, overwrite=overwrite) as result:
         performed = _performed(record, result, settings, chosen.method, None, notify, step)
     truth = performed[0].truth
@@ -223,7 +223,8 @@ def analyse(
     made(cloud, mesh)
     with clock("certificate"):
         if warnings or found is not None:
-            bounds, certified = withdrawn(bounds, mesh)
+            bounds = bounding_nothing(bounds)
+            certified = certificate(bounds, mesh)
             if found is not None and reach:
                 reached = within_reach(recording, cloud, reach, mesh)
                 certified = certified._replace(bound=np.inf if warnings else reached.bound)
@@ -290,13 +291,12 @@ def _put(
     drawing: Drawing,
     notify: Notify,
 ) -> dict[str, Any]:
-    friction = settings.get("friction")
     with clock("write"):
         _put_tables(analysis, result)
     with clock("pictures"):
-        figures = key_figures(report(analysis, settings=settings, friction_set=friction))
-        _put_pictures(to_scene(analysis, figures), result, drawing, notify)
-    return result.commit(report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds))
+        data = report(analysis, settings=settings)
+        _put_pictures(to_scene(analysis, key_figures(data)), result, drawing, notify)
+    return result.commit(data | {"timings_s": rounded(clock.seconds)})
 
 
 def _put_tables(analysis: Analysis, result: Replacement) -> None:

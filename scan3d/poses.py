@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.frames import axes_of, check_orientations
+from scan3d.frames import axes_of, check_columns, check_orientations
 from scan3d.rods import Rod
 
 SPEED_M_S = 0.02
@@ -69,13 +69,8 @@ class PoseList:
         n = len(self.sweep)
         if n == 0:
             raise InputError("the list has no poses: expected at least two for each sweep")
-        for name, shape in (("sweep", (n,)), ("position_m", (n, 3)), ("quaternion", (n, 4)), ("move", (n,))):
-            value = np.asarray(getattr(self, name))
-            if value.shape != shape:
-                raise InputError(f"poses: {name} must have the shape {shape}, got {value.shape}")
-            bad = ~np.isfinite(value.astype(float)).reshape(n, -1).all(axis=1)
-            if bad.any():
-                raise InputError(f"poses: {name} is not a number in row {np.argmax(bad) + 1}")
+        shapes = {"sweep": (n,), "position_m": (n, 3), "quaternion": (n, 4), "move": (n,)}
+        check_columns("poses", vars(self), shapes)
         check_orientations("poses", self.quaternion)
         if not self.speed_m_s > 0:
             raise InputError(f"poses: the speed must be above 0 m/s, got {self.speed_m_s}")

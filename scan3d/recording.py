@@ -11,12 +11,10 @@ converter.  Rounding to steps of size q has the standard deviation q/√12.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +25,7 @@ from scan3d import numbers
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.channels import FORCE, Known
 from scan3d.errors import InputError
-from scan3d.frames import axes_of, check_orientations, check_positions
+from scan3d.frames import axes_of, check_columns, check_orientations, check_positions
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Gravity, Rod
 from scan3d.shown import Rows, Shown
@@ -46,6 +44,8 @@ _FINE = 1e-4
 # Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
 # is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
 _DITHER = 3**0.5
+# Reactions in SI units beyond which their squares are no numbers of a computer.
+_LARGEST = 1e60
 FORCE_SIGMAS = 8.0
 """A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
 nearly none does."""
@@ -153,30 +153,24 @@ class Recording(Shown):
         n = self.sweep.size
         shapes = dict(sweep=(n,), position_m=(n, 3), quaternion=(n, 4), force_N=(n, 2), moment_Nm=(n,))
         shapes |= dict.fromkeys(further, (n,))
-        for name, shape in shapes.items():
-            if np.shape(getattr(self, name)) != shape:
-                raise InputError(f"recording: {name} must have the shape {shape}, got {np.shape(getattr(self, name))}")
         if n == 0:
             raise InputError("the recording has no samples: expected at least one row")
-        for name in columns[1:]:
-            bad = ~np.isfinite(getattr(self, name)).reshape(n, -1).all(axis=1)
-            if bad.any():
-                raise InputError(
-                    f"recording: {name} is not a number in {bad.sum()} of {n} rows, first in row {np.argmax(bad) + 1}"
-                )
+        check_columns("recording", vars(self), shapes)
         check_orientations("recording", self.quaternion)
         check_positions("recording", self.position_m, self.rod.length_m)
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)
-        if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
+        if not all(numbers.is_finite(noise) and noise >= 0 for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
-        # the squares of larger ones are no numbers of a computer
-        if max(noises) > 1e60:
+        for name in columns[3:]:
+            if (largest := float(np.abs(getattr(self, name)).max())) > _LARGEST:
+                raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
+        if max(noises) > _LARGEST:
             raise InputError(
                 f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N, N m or m"
             )
-        if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
+        if self.table_m is not None and not numbers.is_finite(self.table_m):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
         if self.rod.weight_N and self.gravity is None:
             raise InputError(

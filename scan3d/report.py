@@ -35,6 +35,11 @@ if TYPE_CHECKING:
     from scan3d.surfaces.carved import Carved
 
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
+# What contacts and bounds are those of, in the place of the body, where the diameter of a real rod is not known.
+_GROWN = (
+    "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
+    "of an import or in the TOML file of the recording"
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,21 +75,10 @@ class Analysis:
         return f"Analysis of {len(self.recording)} samples: {len(self.cloud)} contacts, {len(self.surface.faces)} faces"
 
 
-def report(
-    analysis: Analysis,
-    *,
-    settings: Mapping[str, Any],
-    friction_set: str | None = None,
-    timings_s: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
+def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The numbers of an analysis as they are written to JSON; those that need the true mesh are None without it.
 
-    settings
-        those of the run, which the report repeats.
-    friction_set
-        the coefficient of friction or its range, if it is known because the recording was simulated.
-    timings_s
-        time spent on each step, in seconds.
+    `settings` are those of the run, which the report repeats.
     """
     recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
     unit = cloud.unit
@@ -104,7 +98,7 @@ def report(
         },
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis),
-        "friction": _friction(cloud, friction_set),
+        "friction": _friction(cloud, settings.get("friction")),
         "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
@@ -133,9 +127,14 @@ def report(
         "normals": None
         if comparison is None
         else {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg},
-        "timings_s": {name: round(seconds, 3) for name, seconds in (timings_s or {}).items()},
+        "timings_s": rounded(analysis.seconds),
         "files": [],
     }
+
+
+def rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    """Time spent on each step, to milliseconds."""
+    return {name: round(value, 3) for name, value in seconds.items()}
 
 
 def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
@@ -204,18 +203,8 @@ def _thickness(cloud: Cloud) -> dict[str, Any]:
     return {
         "diameter": 2 * cloud.rod_radius,
         **tapered,
-        "radius": {**radius_errors(cloud)._asdict(), "unit": cloud.unit},
+        "radius": {**radius_errors(cloud), "unit": cloud.unit},
     }
-
-
-def _grown(recording: Recording) -> str | None:
-    """What contacts and bounds are those of, in the place of the body, where the diameter of a real rod is not known."""
-    if recording.rod.diameter_m or recording.source.get("kind") == "simulation":
-        return None
-    return (
-        "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
-        "of an import or in the TOML file of the recording"
-    )
 
 
 def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
@@ -228,10 +217,11 @@ def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
 
 def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
-    bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
+    bound, bounds, cloud, recording = analysis.certificate.bound, analysis.bounds, analysis.cloud, analysis.recording
+    is_real = recording.source.get("kind") != "simulation"
     left = cloud.left_out
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    assumed = premises(analysis.recording, cloud, {warning.code for warning in analysis.warnings})
+    assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if (reached := analysis.reach) is not None:
         outcome = reached.refuted or reached.unbounded or "contacts and free space do not contradict it"
         what = (
@@ -252,7 +242,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "table": cloud.table,
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
-        "grown": _grown(analysis.recording),
+        "grown": _GROWN if is_real and not recording.rod.diameter_m else None,
         "parts": bounds.parts() | _off(cloud, bounds),
         "volume": list(bounds.volume),
     }

@@ -22,7 +22,7 @@ from scan3d.files.recordings import read_recording
 from scan3d.files.shapes import NORMAL, POINT, read_ply, table
 from scan3d.files.whole import REPORT, SCHEMA, check_belongs, locate, sha256
 from scan3d.pictures.scene import Scene, columns
-from scan3d.report import key_figures, summary
+from scan3d.report import key_figures
 from scan3d.units import UNITS_M
 
 DEMO = Path(__file__).with_name("egg.glb")
@@ -44,7 +44,6 @@ def read_report(folder: Path) -> Mapping[str, Any]:
         return {}
     try:
         key_figures(data)
-        summary(data)
         (data["mesh"] or {}).get("sha256")
         data["source"].get("mesh")
     except (KeyError, TypeError, ValueError, AttributeError) as error:

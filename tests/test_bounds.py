@@ -12,7 +12,7 @@ from spatial_bodies import largest_difference, random_shape, spatial_cloud
 
 import planar
 import scan3d
-from scan3d.bounds import withdrawn
+from scan3d.bounds import bounding_nothing
 from scan3d.geometry.distance import distances, nearest
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
@@ -280,7 +280,8 @@ def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_a_withdrawn_enclosure_states_nothing(axis):
     bounds = enclosure(scanned(random_body(1), slices=4, axis=axis))
-    nothing, certified = withdrawn(bounds, bounds.inner)
+    nothing = bounding_nothing(bounds)
+    certified = certificate(nothing, bounds.inner)
     assert certified.bound == nothing.bound == np.inf
     assert np.isinf(certified.at_vertices).all()
     assert nothing.tighter is None

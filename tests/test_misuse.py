@@ -56,6 +56,7 @@ def test_what_is_no_body_is_not_scanned(mesh, sentence):
         ("force_N", lambda a: a[:, :1], r"force_N must have the shape"),
         ("rod", lambda a: None, "rod must be a scan3d.Rod, got NoneType"),
         ("noise_moment_Nm", lambda a: 1j, "must be numbers >= 0"),
+        ("moment_Nm", lambda a: a + 1e70, r"moment_Nm holds 1e\+70; check its unit, which is that of SI"),
         # its square is no number of a computer: a calibration ended in an OverflowError
         ("noise_moment_Nm", lambda a: 1e300, r"a standard deviation of the noise is 1e\+300; check its unit"),
     ],

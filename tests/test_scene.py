@@ -122,6 +122,7 @@ def test_plys_and_meshes(folder, tmp_path):
         (tmp_path / "foreign.ply").write_bytes(header + body)
         foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "mm")
         assert foreign.contacts.dtype.names == columns
+        assert len(parts.shade_contacts(foreign, "force").rgb) == 50  # although nothing is known of the points
         assert foreign.points == pytest.approx(points, rel=1e-6)
     scan3d.load_mesh(CUBE).export(tmp_path / "mesh.ply", encoding="ascii")
     for path in (CUBE, tmp_path / "mesh.ply"):

@@ -142,6 +142,6 @@ def test_without_a_display_there_is_no_window(shown, monkeypatch, display):
         with pytest.raises(
             scan3d.InputError, match="there is no display to open a window on; write a picture with --scr"
         ):
-            canvas.open_window(scanned(EGG), print)
+            canvas.need_display()
     finally:
         canvas.can_open.cache_clear()

@@ -13,7 +13,7 @@ import scan3d
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes
-from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.slices import SupportFunctions, stacks
 
 
 @pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (4, 8))])
@@ -36,7 +36,7 @@ def test_between_its_normals_a_slices_support_lies_between_contacts_and_support_
             if not section.closed:
                 continue
             known = np.stack([np.cos(section.angle), np.sin(section.angle)], axis=1)
-            support = section.support(ANGLES)
+            support = SupportFunctions((section,)).at(ANGLES)[0]
             tangential = section.points[section.tangential]
             lower = (NORMALS @ tangential.T).max(axis=1)
             upper = [-linprog(-n, A_ub=known, b_ub=section.value, bounds=(None, None)).fun for n in NORMALS[::24]]
@@ -59,9 +59,9 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
         slices = [(section, slopes) for section, slopes in slices if section.closed]
         for (below, _), (section, slopes), (above, _) in zip(slices[:-2], slices[1:-1], slices[2:], strict=True):
             angle = np.arctan2(section.normals[:, 1], section.normals[:, 0])
-            h = section.support(angle)
-            lower = (above.support(angle) - h) / (above.height - section.height)
-            upper = (h - below.support(angle)) / (section.height - below.height)
+            h = SupportFunctions((section,)).at(angle)[0]
+            lower = (SupportFunctions((above,)).at(angle)[0] - h) / (above.height - section.height)
+            upper = (h - SupportFunctions((below,)).at(angle)[0]) / (section.height - below.height)
             lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
             assert (slopes >= lower - 1e-9).all()
             assert (slopes <= upper + 1e-9).all()
@@ -87,7 +87,7 @@ def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_ve
     exact = (NORMALS @ polygon.T).max(axis=1)
     complete = 0
     for section in one_stack(mesh, slices=4, samples=samples).slices:
-        support = section.support(ANGLES)
+        support = SupportFunctions((section,)).at(ANGLES)[0]
         assert section.support(section.angle) == pytest.approx(section.value, abs=1e-9)
         assert (support >= (NORMALS @ section.points[section.tangential].T).max(axis=1) - 1e-9).all()
         edges = np.roll(polygon, -1, axis=0) - polygon
@@ -107,7 +107,7 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     exact = np.hypot(a * np.cos(ANGLES), b * np.sin(ANGLES))
     for section in stack.slices:
         assert 20 < len(section.angle) < 80
-        assert section.support(ANGLES) == pytest.approx(exact, abs=2e-3 * a)
+        assert SupportFunctions((section,)).at(ANGLES)[0] == pytest.approx(exact, abs=2e-3 * a)
 
 
 # --- slices with few normals ---

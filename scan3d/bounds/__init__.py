@@ -1,9 +1,9 @@
 """Inner and outer body of a body from touch alone, and certified bounds of the distance of surfaces from it."""
 
 from scan3d.bounds.cells import Gap
-from scan3d.bounds.certificates import Certificate, certificate, withdrawn
+from scan3d.bounds.certificates import Certificate, certificate
 from scan3d.bounds.constraints import Allowed, allowed, sigmas
-from scan3d.bounds.enclosures import Enclosure, enclosure, unbounded
+from scan3d.bounds.enclosures import Enclosure, bounding_nothing, enclosure, unbounded
 from scan3d.bounds.premises import Premise, missing, premises
 
 __all__ = [
@@ -13,11 +13,11 @@ __all__ = [
     "Gap",
     "Premise",
     "allowed",
+    "bounding_nothing",
     "certificate",
     "enclosure",
     "missing",
     "premises",
     "sigmas",
     "unbounded",
-    "withdrawn",
 ]

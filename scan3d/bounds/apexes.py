@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import OCTANTS, Array, Index, Mask
+from scan3d.arrays import OCTANTS, Array, Index, Mask, ratio
 from scan3d.geometry.arcs import Arcs
 
 # Smallest determinant of three unit normals that meet in an apex: below it the rounding of the apex is no longer small.
@@ -251,6 +251,5 @@ def _apexes(planes: Arcs, triangles: Index) -> tuple[Array, Array]:
     bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
     determinant = (a * bc).sum(axis=2)
     heights = [(n * offset[:, None, k]).sum(axis=2)[..., None] for k, n in enumerate((a, b, c))]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        apexes = (heights[0] * bc + heights[1] * ca + heights[2] * ab) / determinant[..., None]
+    apexes = ratio(heights[0] * bc + heights[1] * ca + heights[2] * ab, determinant[..., None])
     return determinant.min(axis=1), apexes + origin[:, None]

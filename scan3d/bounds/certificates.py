@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest
-from scan3d.bounds.enclosures import Enclosure, SlabCorners, bounding_nothing
+from scan3d.bounds.enclosures import Enclosure, SlabCorners
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest
@@ -146,9 +146,3 @@ def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: 
         else:
             is_open |= rows
     return np.where(is_open, np.inf, found)
-
-
-def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
-    """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
-    nothing = bounding_nothing(bounds)
-    return nothing, certificate(nothing, surface)

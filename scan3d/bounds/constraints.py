@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, highest, unit
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, highest, ratio, unit
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
@@ -248,8 +248,7 @@ def secants(
     rise = np.array([value + margin - (b.support_of_contacts(normals) - margin) for b in others])
     outwards = 1.0 if height > others[0].height else -1.0
     run = np.array([[height - b.height] for b in others]) - 2 * outwards * height_error * np.sign(rise)
-    with np.errstate(divide="ignore"):
-        slopes = np.where(outwards * run > 0, rise / run, outwards * np.inf)
+    slopes = np.where(outwards * run > 0, ratio(rise, run), outwards * np.inf)
     return outwards * (outwards * slopes).min(axis=0)
 
 
@@ -331,8 +330,7 @@ def _slopes(ends: Array, outward: Array, along: Array) -> Array:
     Contacts whose arcs are not known are confined by the slices next to theirs only.
     """
     level, rise = np.einsum("nej,nj->ne", ends, outward), ends @ along
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = np.sort(np.where(level > NEGLIGIBLE, -rise / level, -np.copysign(np.inf, rise)), axis=1)
+    slopes = np.sort(np.where(level > NEGLIGIBLE, ratio(-rise, level), -np.copysign(np.inf, rise)), axis=1)
     unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
     return np.where(unknown[:, None], [-np.inf, np.inf], slopes)
 

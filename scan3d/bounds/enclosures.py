@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, unit
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit
 from scan3d.bounds.apexes import best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, allowed, exact_error, tangent_planes
@@ -608,8 +608,7 @@ def _error_of_hull(body: Any, places: Places) -> float:
     cosine, along = np.ones(len(rows)), np.zeros(len(rows))
     np.minimum.at(cosine, faces, dot(normals, unit(middle)[faces]))
     np.maximum.at(along, faces, own.select(faces).along(normals[:, None])[:, 0])
-    with np.errstate(divide="ignore"):
-        by_normals = np.where(cosine > 0, along / cosine, np.inf)
+    by_normals = np.where(cosine > 0, ratio(along, cosine), np.inf)
     return float((np.minimum(by_normals, own.largest()) + apart).max())
 
 

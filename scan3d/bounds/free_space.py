@@ -26,7 +26,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from planar.crossings import SNAPPED
-from scan3d.arrays import Array, Index, Mask, ranges
+from scan3d.arrays import Array, Index, Mask, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -310,8 +310,7 @@ def _in_hull(points: Array, shape: Index) -> Mask:
     around = points[:, None] + np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     a, b, c = ConvexHull(around.reshape(-1, 2)).equations.T  # a x + b y + c <= 0 inside
     rest = b * np.arange(shape[1])[:, None] + c
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = -rest / a
+    x = ratio(-rest, a)
     left, right = np.where(a < 0, x, -np.inf).max(axis=1), np.where(a > 0, x, np.inf).min(axis=1)
     left[((a == 0) & (rest > 0)).any(axis=1)] = np.inf
     columns = np.arange(shape[0])

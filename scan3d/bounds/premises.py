@@ -28,8 +28,10 @@ class Premise(NamedTuple):
 def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, ...]:
     """What the bounds of a cloud's body rest on; `contradicted` are the codes of what the recording contradicts."""
     hidden = "not tested: what neither friction nor path nor other sweeps contradict stays hidden"
+    outcome = "contradicted" if {"inside-hull", "beyond-tangent"} & {*contradicted} else "not contradicted"
+    outcome = outcome if contradicted else "no contact lies inside those of a convex body"
     return (
-        Premise("a convex body", True, _of_body(contradicted))
+        Premise("a convex body", True, outcome)
         if cloud.convex
         else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
@@ -61,12 +63,6 @@ def _of_noise(recording: Recording, cloud: Cloud) -> Premise:
     return Premise(
         assumed, True, f"of {air.rows} rows in the air some have larger values than the stated noise explains"
     )
-
-
-def _of_body(contradicted: Collection[str]) -> str:
-    if not contradicted:
-        return "no contact lies inside those of a convex body"
-    return "contradicted" if {"inside-hull", "beyond-tangent"} & set(contradicted) else "not contradicted"
 
 
 def _of_rod(rod: Rod, cloud: Cloud, contradicted: Collection[str]) -> Premise:

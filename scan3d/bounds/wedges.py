@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly, ratio
 from scan3d.bounds.constraints import arcs_of_contacts, frame_of, tangential
 from scan3d.cloud import Cloud
 from scan3d.geometry.arcs import Places
@@ -116,8 +116,7 @@ def _entered(normals: Array, values: Array, directions: Array) -> Array:
     parts = [np.empty((0, len(values)))]
     for block in np.array_split(directions, 1 + directions.shape[0] * values.size // AT_ONCE):
         along = np.einsum("vx,kex->vke", block, normals)
-        with np.errstate(divide="ignore"):
-            parts.append(np.where(along > 0, values / np.maximum(along, 0.0), np.inf).max(axis=2))
+        parts.append(np.where(along > 0, ratio(values, np.maximum(along, 0.0)), np.inf).max(axis=2))
     return np.concatenate(parts)
 
 
@@ -126,8 +125,7 @@ def _leaves(planes: Array, directions: Array) -> Array:
     parts = []
     for block in np.array_split(directions, 1 + len(directions) * len(planes) // AT_ONCE):
         along = block @ planes[:, :3].T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            parts.append(np.where(along > 0, planes[:, 3] / along, np.inf).min(axis=1))
+        parts.append(np.where(along > 0, ratio(planes[:, 3], along), np.inf).min(axis=1))
     return np.concatenate(parts)
 
 

@@ -12,8 +12,9 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib.metadata import version
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
@@ -81,18 +82,12 @@ COMMANDS: dict[str, Callable[..., int]] = {
 }
 
 
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("scan3d")
-
-
 def app() -> App:
     """All commands with their options."""
     made = App(
         name="scan3d",
         help=_DESCRIPTION,
-        version=_version,
+        version=lambda: version("scan3d"),
         help_format="plaintext",
         default_parameter=Parameter(negative=(), allow_repeating=True),
     )
@@ -116,8 +111,12 @@ def run(argv: Sequence[str] | None = None) -> int:
     name = words[0] if words[0] in COMMANDS else ""
     try:
         command, bound, _ = app().parse_args(words, exit_on_error=False, print_error=False)
-        with _quiet():
+        # warnings of libraries go to the logger py.warnings, which is silent unless a program sets it up
+        logging.captureWarnings(True)
+        try:
             code = _called(name, command, bound)
+        finally:
+            logging.captureWarnings(False)
         if sys.stdout is not None:  # it is None if closed by the shell, with >&-
             sys.stdout.flush()
         return code
@@ -155,13 +154,3 @@ def _in_words(error: Exception) -> str:
         return f"{error.argument.name} is missing{or_empty}"
     message = str(error)
     return message if message.endswith("...") else message.removesuffix(".")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Within it warnings of libraries go to the logger py.warnings, which is silent unless a program sets it up."""
-    logging.captureWarnings(True)
-    try:
-        yield
-    finally:
-        logging.captureWarnings(False)

@@ -38,7 +38,7 @@ def reconstruct(
     from scan3d.files.recordings import sidecar
     from scan3d.files.whole import atomic, check_file, folder, write_atomic
     from scan3d.laboratory.one_sweep import contacts_csv, read_sweep, reconstruct_sweep
-    from scan3d.pictures.charts import sweep_picture
+    from scan3d.pictures import charts
 
     rod = parse_rod(rod_name) if rod_name else None
     if rod_name and rod is None:
@@ -54,7 +54,7 @@ def reconstruct(
         check_file(picture, inputs, overwrite, "--out")
         check_file(contacts, inputs, overwrite, "--out", text)
         with atomic(picture) as path:
-            sweep_picture(found, path)
+            charts.draw(charts.sweep_figure, found, path)
         write_atomic(contacts, text)
     data = _data(found) | {"files": [str(contacts), str(picture)]}
     return print_result(output, data, table("", _rows(data)))

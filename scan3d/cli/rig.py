@@ -55,13 +55,8 @@ class Limits:
 
     def of_plan(self) -> dict[str, Any]:
         """As `RigPlan` takes them."""
-        return {
-            "samples": self.samples,
-            "clearance": self.clearance,
-            "max_force_N": self.max_force,
-            "floor": self.floor,
-            "speed": self.speed,
-        }
+        values = dataclasses.asdict(self)
+        return values | {"max_force_N": values.pop("max_force")}
 
 
 def plan(
@@ -510,7 +505,7 @@ def import_(
     facts = _facts(imported)
     if drawn:
         with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
-            charts.import_picture(imported, file)
+            charts.draw(charts.import_figure, imported, file)
     paths = {"recording": str(written) if written else None, "picture": str(drawn) if drawn else None}
     places = [("written to", path) for path in paths.values() if path]
     text = table(f"{imported.summary.table}, imported", [*facts, *places])

@@ -91,8 +91,8 @@ def show(
     from scan3d.pictures import canvas, drawing, page, views
     from scan3d.pictures import movie as movies
 
-    if not (screenshot or html or movie) and not canvas.can_open():
-        raise InputError(canvas.NO_DISPLAY)
+    if not (screenshot or html or movie):
+        canvas.need_display()
     # file names are checked before the work
     if screenshot:
         views.check_path(screenshot)
@@ -111,7 +111,7 @@ def show(
     output.progress.tell("drawing")
     if not (screenshot or html or movie):
         output.progress.end()
-        canvas.open_window(scene, print, color or "force")
+        canvas.Window(scene, print, color or "force").plotter.show(title=f"{scene.name} – scan3d")
         return 0
     if html:
         write_atomic(html, page.page(scene), "--html")

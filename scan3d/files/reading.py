@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from scan3d.errors import InputError
+from scan3d.numbers import is_finite
 from scan3d.processes import check_memory
 from scan3d.rods import Rod
 
@@ -59,11 +60,6 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
     """The last clause of a message on unknown names: the known ones that they resemble, or an empty string."""
     near = [match for name in unknown for match in get_close_matches(name, list(known), n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
-
-
-def is_finite(value: Any) -> bool:
-    """Whether a value of a TOML file is a finite number."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(to_float(value))
 
 
 T = TypeVar("T")

@@ -32,14 +32,14 @@ from scan3d.processes import undone_if_ended
 
 REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")
-RESULTS = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
-"""The files of a result; not every one has pictures."""
+
 SCHEMA = 1
 """Number of the formats of reports, and of the TOML files of recordings, poses and rigs."""
 
 Kind = tuple[str, ...]
 """The files of a kind of result, the last of them its report, which names the others with their SHA-256."""
-SCAN: Kind = RESULTS
+RESULTS: Kind = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
+"""Those of a scan; not every one has pictures."""
 BATCH: Kind = ("summary.csv", "index.html", "batch.json")
 Inputs = Mapping[str, str | os.PathLike[str] | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
@@ -103,7 +103,7 @@ def replacing(
     *,
     inputs: Inputs | None = None,
     overwrite: bool = False,
-    kind: Kind = SCAN,
+    kind: Kind = RESULTS,
 ) -> Iterator[Replacement]:
     """A result to be written into a folder, which is created if it is missing.
 
@@ -279,23 +279,18 @@ def _move(place: Path) -> None:
         names = os.listdir(complete)
     except FileNotFoundError:
         return
-    last = [name for name in names if name in (SCAN[-1], BATCH[-1])]
-    for name in [*(name for name in names if name not in last), *last]:
-        if name in last:
-            _remove_obsolete(place, SCAN if name == SCAN[-1] else BATCH)
+    kinds = {kind[-1]: kind for kind in (RESULTS, BATCH)}
+    for name in sorted(names, key=kinds.__contains__):
+        if name in kinds:  # unchanged files of the earlier result that the new one does not name
+            new = _named_files(complete / name, kinds[name]).keys()
+            for earlier, stated in _named_files(place / name, kinds[name]).items():
+                if earlier not in new and _has_sha256(place / earlier, stated):
+                    (place / earlier).unlink(missing_ok=True)
         with suppress(FileNotFoundError):  # another process has moved it
             os.replace(complete / name, place / name)
     _flush(place)
     with suppress(OSError):  # another run has just come
         complete.rmdir()
-
-
-def _remove_obsolete(place: Path, kind: Kind) -> None:
-    """Remove unchanged files of the earlier result that the new one, whose report is still to be moved, does not name."""
-    new = _named_files(place / _COMPLETE / kind[-1], kind).keys()
-    for name, stated in _named_files(place / kind[-1], kind).items():
-        if name not in new and _has_sha256(place / name, stated):
-            (place / name).unlink(missing_ok=True)
 
 
 def _flush(path: Path) -> None:
@@ -340,7 +335,7 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def earlier_files(place: Path, kind: Kind = SCAN) -> dict[str, str | None]:
+def earlier_files(place: Path, kind: Kind = RESULTS) -> dict[str, str | None]:
     """Names of the files that the report in a folder says were written, with their SHA-256 where it is stated.
 
     Empty if the folder has no report, or one of another program.
@@ -361,7 +356,7 @@ def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
         return {}
 
 
-def unchanged(place: Path, kind: Kind = SCAN) -> set[str]:
+def unchanged(place: Path, kind: Kind = RESULTS) -> set[str]:
     """The files of the result in a folder that are as the program wrote them."""
     return {name for name, stated in earlier_files(place, kind).items() if _has_sha256(locate(place / name), stated)}
 

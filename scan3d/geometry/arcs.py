@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.geometry.triangles import dot
 
 # Neighbours of a point that are tried on every level of the search, by how many times the points of one level exceed those of
@@ -128,8 +128,7 @@ class _Sight:
         self._farthest = places.largest()[:, None], body.largest()
         outward = places.points - centre
         self._outward = outward - dot(outward, tangents)[:, None] * tangents
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self._outward /= np.linalg.norm(self._outward, axis=1)[:, None]
+        self._outward = ratio(self._outward, np.linalg.norm(self._outward, axis=1)[:, None])
         self._across = np.cross(tangents, self._outward)
 
     def _angles(self, numbers: Index) -> tuple[Array, Array]:
@@ -150,18 +149,16 @@ class _Sight:
             across, along = self._spread(numbers, x, y, distance)
             turned, distance = np.arctan2(across, distance - along), np.hypot(across, np.maximum(distance - along, 0.0))
             turned = np.where(turned < np.pi / 2, turned, np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(error < distance, error / distance, 1.0)
+        sine = np.where(error < distance, ratio(error, distance), 1.0)
         # a point that is no farther away than the errors says nothing
-        return np.arctan2(y, x), np.where(ratio < 1, np.arcsin(ratio), np.inf) + turned
+        return np.arctan2(y, x), np.where(sine < 1, np.arcsin(sine), np.inf) + turned
 
     def _spread(self, numbers: Index, x: Array, y: Array, distance: Array) -> tuple[Array, Array]:
         """Errors (b, k) by the ellipsoids of both points, across the way between them, as it is seen, and along it."""
         assert self._places.spread is not None
         assert self._body.spread is not None
         spread, frame = self._body.spread[numbers], (self._outward, self._across)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cos, sin = x / distance, y / distance
+        cos, sin = ratio(x, distance), ratio(y, distance)
         found = []
         for a, b in ((-sin, cos), (cos, sin)):
             u = a[..., None] * frame[0][:, None] + b[..., None] * frame[1][:, None]

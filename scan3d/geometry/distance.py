@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio
 from scan3d.errors import InputError
 from scan3d.geometry.triangles import (
     areas,
@@ -250,8 +250,7 @@ def segments_meet(body: Any, start: Array, along: Array, length: float, distance
 
 def _below(height: Array, change: Array) -> Mask:
     """Which segments (n,) pass below all planes (f,), above which they begin at heights (n, f) that change by (n, f)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        place = -height / change
+    place = ratio(-height, change)
     above = (change == 0) & (height > 0)
     enter = np.where(change < 0, place, np.where(above, np.inf, -np.inf)).max(axis=1)
     leave = np.where(change > 0, place, np.inf).min(axis=1)

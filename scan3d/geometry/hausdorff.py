@@ -31,7 +31,7 @@ import numpy as np
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.geometry.convexity import against_hull, prepare_facets
 from scan3d.geometry.distance import Search
-from scan3d.geometry.triangles import distance_to, halve, longest_first, row_minima, without_unused
+from scan3d.geometry.triangles import distance_to, halve, longest_first, without_unused
 
 if TYPE_CHECKING:
     import trimesh
@@ -173,7 +173,9 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
             values = plane[..., 3, None] - np.einsum("mjx,mix->mji", plane[..., :3], corners)
         else:
             values = distance_to(corners[:, None], target.corners[faces][:, :, None])
-        return row_minima(values.max(axis=2), faces)
+        values = values.max(axis=2)
+        least = (np.arange(len(values)), values.argmin(axis=1))
+        return values[least], faces[least]
 
     def gap() -> float:
         return max(RELATIVE_GAP * lower, negligible)

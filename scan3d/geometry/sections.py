@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges
+from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges, ratio
 
 if TYPE_CHECKING:
     import trimesh
@@ -191,8 +191,7 @@ def _cut(start: Array, stop: Array, following: Index, close: float) -> tuple[Arr
     a, b = a[apart], b[apart]
     d, e, between = stop[a] - start[a], stop[b] - start[b], start[b] - start[a]
     turn = _turn(d, e)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s, t = _turn(between, e) / turn, _turn(between, d) / turn
+    s, t = ratio(_turn(between, e), turn), ratio(_turn(between, d), turn)
     proper = (s > 0) & (s < 1) & (t > 0) & (t < 1)
     owners, shares, meets = [a[proper], b[proper]], [s[proper], t[proper]], bool(proper.any())
     for point, owner in ((start[b], a), (stop[b], a), (start[a], b), (stop[a], b)):
@@ -286,8 +285,7 @@ def _inside(points: Array, polygon: Array) -> Mask:
     following = np.roll(polygon, -1, axis=0)
     (x, y), (x0, y0), (x1, y1) = points.T[:, :, None], polygon.T, following.T
     crosses = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        right = x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
+    right = x < x0 + ratio((y - y0) * (x1 - x0), y1 - y0)
     return np.asarray((crosses & right).sum(axis=1) % 2 == 1)
 
 

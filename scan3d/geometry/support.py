@@ -130,8 +130,11 @@ def fit_support(
             right += rows @ aim
             square += float(aim @ aim)
         if table is not None:
-            row, height = _standing(center, shape, degree, table)
-            # the table counts more than all contacts together
+            # the harmonics in the mapped direction downwards, and the support function there of a body on the table, which
+            # counts more than all contacts together
+            down = np.array([[0.0, 0.0, -1.0]]) @ shape
+            row = harmonics(unit(down), degree)[0][:, 0]
+            height = float(center[2] - table) / float(np.linalg.norm(down))
             heavy = 1e3 * np.trace(normal_matrix) / float(row @ row)
             normal_matrix += heavy * np.outer(row, row)
             right += heavy * height * row
@@ -169,13 +172,6 @@ def _roughness(degree: int) -> Array:
     first = np.isin(np.arange(len(degrees)), np.arange(degree + 1) ** 2)  # m = 0; those of m > 0 are half as large
     means = ((degrees - 1.0) * (degrees + 2)) ** 4 / (2 * degrees + 1) * np.where(first, 1.0, 0.5)
     return np.where(degrees > 0, means, 0.0)
-
-
-def _standing(center: Array, shape: Array, degree: int, table: float) -> tuple[Array, float]:
-    """The harmonics (c,) in the mapped direction downwards, and the support function there of a body on a table."""
-    down = np.array([[0.0, 0.0, -1.0]]) @ shape
-    value: Array = harmonics(unit(down), degree)[0][:, 0]
-    return value, float(center[2] - table) / float(np.linalg.norm(down))
 
 
 def fitted_body(fit: SupportFit) -> Any:

@@ -25,12 +25,6 @@ def dot(a: Array, b: Array) -> Array:
     return np.einsum("...x,...x->...", a, b)
 
 
-def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
-    """The smallest value (m,) of each row of values (m, k), and the label (m,) that stands at its place."""
-    column = values.argmin(axis=1)[:, None]
-    return np.take_along_axis(values, column, 1)[:, 0], np.take_along_axis(labels, column, 1)[:, 0]
-
-
 def spanned(corners: Array) -> Array:
     """Products (m, 3) of the first two edges of triangles (m, 3, 3), from their first corner: normals, twice the area long."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.channels import Known
-from scan3d.files.reading import REQUIRED, Section, did_you_mean, is_finite, read_rod, read_section
+from scan3d.files.reading import REQUIRED, Section, did_you_mean, read_rod, read_section
 from scan3d.files.recordings import TABLE, gravity_of, read_known
 from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
+from scan3d.numbers import is_finite
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, spelled
@@ -158,6 +159,8 @@ def _map(top: Section) -> Map:
     sweeps, noise = top.section("sweeps"), top.section("noise")
     read, air = _columns(columns), _air(top.section("tare"))
     matrix, offset = _transducer(sensor, read.signals)
+    tares = air != "none"
+    gravity = gravity_of(top.section("gravity"), True if tares else REQUIRED) if "gravity" in top else None
     made = Map(
         columns=read,
         rod=read_rod(top.section("rod")),
@@ -171,7 +174,8 @@ def _map(top: Section) -> Map:
         wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
         air=air,
         known=read_known(top.section("known")) if "known" in top else None,
-        gravity=_gravity(top.section("gravity"), air != "none") if "gravity" in top else None,
+        # an import that tares takes off the weight, whatever the log was before
+        gravity=gravity and replace(gravity, tared=gravity.tared or tares),
         lowpass_hz=filters.number("lowpass_hz", None, above=0),
         rate_hz=filters.number("rate_hz", None, above=0),
         directions=sweeps.word("directions", DIRECTIONS),
@@ -329,12 +333,6 @@ def read_frame(section: Section) -> Frame:
     """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
     position = np.array(section.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
     return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
-
-
-def _gravity(section: Section, tares: bool) -> Gravity:
-    """Where gravity points; an import that `tares` takes off the weight, whatever the log was before."""
-    given = gravity_of(section, True if tares else REQUIRED)
-    return replace(given, tared=given.tared or tares)
 
 
 def _air(section: Section) -> str | tuple[tuple[float, float], ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import NEGLIGIBLE, Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask, ratio
 from scan3d.errors import InputError
 from scan3d.laboratory.air import SD_OVER_MAD
 from scan3d.laboratory.maps import Map
@@ -33,8 +33,7 @@ def strokes(position: Array, quaternion: Array, length: float) -> tuple[NDArray[
     jitter = jitter if jitter > NEGLIGIBLE * length else 0.0
     axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, 0]
     lag, moved = _displacements(position, jitter)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        along = (moved * axes).sum(axis=1) / np.linalg.norm(moved, axis=1)
+    along = ratio((moved * axes).sum(axis=1), np.linalg.norm(moved, axis=1))
     turned = np.linalg.norm(axes[np.minimum(np.arange(n) + lag, n - 1)] - axes, axis=1)
     turn_error = 4 * _error(axes)
     straight = (lag > 0) & (turned < _TURNING + turn_error)
@@ -176,8 +175,7 @@ def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) 
         return np.empty(0)
     travel = position[last] - position[first]
     axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()[:, :, 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = -(travel * axes).sum(axis=1) / np.linalg.norm(travel, axis=1)
+    cosine = ratio(-(travel * axes).sum(axis=1), np.linalg.norm(travel, axis=1))
     return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
 
 

@@ -219,14 +219,10 @@ def can_open() -> bool:
     return renders(on_screen=True)
 
 
-def open_window(scene: Scene, on_pick: Callable[[str], None], color: str = "force") -> None:
-    """Show the scene until the window is closed; `on_pick` gets the sentence of each contact that is clicked.
-
-    Raises InputError where there is no display.
-    """
+def need_display() -> None:
+    """Raise InputError where there is no display."""
     if not can_open():
         raise InputError(NO_DISPLAY)
-    Window(scene, on_pick, color).plotter.show(title=f"{scene.name} – scan3d")
 
 
 class Window:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,14 +142,14 @@ def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float
     axes.set_title(figures.wrapped(text, width, sheet), fontsize=sheet.font - 1)
 
 
-def sweep_picture(found: SweepContacts, path: str | Path) -> None:
-    """Draw contour and friction of a sweep into a .png or a .pdf."""
+def draw(figure: Callable[[Any], Any], found: SweepContacts | Imported, path: str | Path) -> None:
+    """Draw the `sweep_figure` of a sweep, or the `import_figure` of a table, into a file."""
     with figures.own_style():
-        figures.save(sweep_figure(found), Path(path))
+        figures.save(figure(found), Path(path))
 
 
 def sweep_figure(found: SweepContacts) -> Any:
-    """The matplotlib figure that `sweep_picture` writes: the contour to scale, and below it the friction over x.
+    """A matplotlib figure of a sweep: the contour to scale, and below it the friction over x.
 
     Where errors are known, some contacts have bars of two standard deviations.
     """
@@ -181,14 +182,8 @@ def sweep_figure(found: SweepContacts) -> Any:
     return figure
 
 
-def import_picture(imported: Imported, path: str | Path) -> None:
-    """Draw what became of a laboratory's table into a .png, a .pdf or an .svg."""
-    with figures.own_style():
-        figures.save(import_figure(imported), Path(path))
-
-
 def import_figure(imported: Imported) -> Any:
-    """The matplotlib figure that `import_picture` writes.
+    """A matplotlib figure of what became of a laboratory's table.
 
     Left what the sensor showed, with its stretches in the air and its zero; right the support reactions in the clamp's frame,
     with the sweeps.

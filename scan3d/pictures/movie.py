@@ -108,11 +108,6 @@ def _ffmpeg() -> Any:
         raise InputError(NO_FFMPEG) from None
 
 
-def _pixels(figure: Any) -> Image:
-    figure.canvas.draw()
-    return np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3])
-
-
 def _frames(scene: Scene, frames: int) -> Iterator[Image]:
     """The hull of the contacts of more and more slices, or sweeps where there are no slices, with a rod along one of them."""
     name = "sweep" if is_spatial(scene) else "slice"
@@ -152,7 +147,8 @@ def _frames(scene: Scene, frames: int) -> Iterator[Image]:
         axes.set_axis_off()
         axes.imshow(image, interpolation="nearest", aspect="auto")
         caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected):,} contacts")
-        yield _pixels(figure)
+        figure.canvas.draw()
+        yield np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3])
     canvas.plotter.close()
 
 

@@ -81,6 +81,8 @@ def shade_contacts(scene: Scene, color: str, pair: tuple[str, str] = (TANGENTIAL
     values = scene.column(color)
     if values is None:
         known = [name for name in COLORS if scene.column(name) is not None]
+        if not known and color == "force":  # by default, of the points of another program
+            return shade_kinds(np.zeros(len(scene.points)), "", ("", pair[0]))
         others = f"known are {', '.join(known)}" if known else "its file has points only"
         raise InputError(f"the {color} of the contacts of {scene.name} is not known; {others}")
     if color == "phase":

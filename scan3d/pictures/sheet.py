@@ -104,7 +104,11 @@ def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | N
 
     Raises InputError for other values, and for a picture that is too large to be rendered.
     """
-    dots = DPI if dpi is None else _dpi(dpi)
+    dots = DPI if dpi is None else int(dpi) if str(dpi).isdecimal() else 0
+    if not 50 <= dots <= 2400:
+        raise InputError(
+            f"the resolution of a picture is a whole number of dots per inch from 50 to 2400, such as 300, got {dpi!r}"
+        )
     width, height = (WIDTH, None) if size is None else _size(size, dots)
     made = Sheet(width, height, dots, None if camera is None else _camera(camera))
     wide, high = (round(side * dots) for side in (width, height or 0.75 * width))
@@ -114,15 +118,6 @@ def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | N
             "smaller size or resolution"
         )
     return made
-
-
-def _dpi(dpi: int | str) -> int:
-    dots = int(dpi) if str(dpi).isdecimal() else 0
-    if not 50 <= dots <= 2400:
-        raise InputError(
-            f"the resolution of a picture is a whole number of dots per inch from 50 to 2400, such as 300, got {dpi!r}"
-        )
-    return dots
 
 
 def _size(text: str, dpi: int) -> tuple[float, float | None]:

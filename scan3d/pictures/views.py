@@ -83,17 +83,15 @@ def _cloud(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     if scene.contacts is None:
         raise InputError(f"{scene.name} has no contacts to show; it has a surface: give the view surface")
     shaded = parts.shade_contacts(scene, color)
-    canvas = _canvas(np.concatenate([scene.corners, *parts.normal_lines(scene)]), sheet)
+    normals = parts.normal_lines(scene)
+    canvas = _canvas(np.concatenate([scene.corners, *normals]), sheet)
     canvas.add_backdrop(scene)
     canvas.add_points(scene.points, shaded.rgb)
-    canvas.add_lines(parts.normal_lines(scene), parts.NORMAL, 1)
+    canvas.add_lines(normals, parts.NORMAL, 1)
     figure = _sized(canvas, sheet)
     if shaded.norm is None:
-        entries = [
-            ("tangential contact", parts.TANGENTIAL, "o"),
-            ("tip contact", parts.TIP, "o"),
-            ("normal", parts.NORMAL, "-"),
-        ]
+        entries = [(f"{name} contact".strip(), kind, "o") for name, kind in shaded.kinds]
+        entries += [("normal", parts.NORMAL, "-")] if len(normals) else []
         right = figures.box_of(figure, figures.legend(figure, entries, 1, sheet.font)).x0
     else:
         is_tip = scene.column("phase") == planar.Phase.TIP

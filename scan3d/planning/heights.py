@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.bounds.cells import Gap, Slab, SlabKey, slab_keys, slabs
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cloud import Cloud
@@ -202,8 +202,7 @@ def cuts(
     slab, corner, gap, straight = slab[worst], corner[worst], gap[worst], straight[worst]
     low, high, first, last = known[slab], known[slab + 1], slab == 0, slab == len(known) - 2
     end, beyond = np.where(first, high, low), np.where(first, low, high)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (corner - end) / (beyond - end)
+    depth = ratio(corner - end, beyond - end)
     depth = np.where(depth > 1 - CLOSEST, 0.5, np.where(straight, AT_VERTEX, AT_POLE) * depth)
     on_slice = np.minimum(corner - low, high - corner) <= near
     at_corner = np.where(first | last, end + depth * (beyond - end), corner)
@@ -273,8 +272,7 @@ def cuts_at(known: Array, slab: Index, roots: Array, below: Array) -> Array:
     bottom, top = (known[0] + known[1]) / 2, (known[-2] + known[-1]) / 2
     angles = np.arccos(np.clip(1 - 2 * (known - bottom) / (top - bottom), -1.0, 1.0))
     low, high = angles[slab], angles[slab + 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        density = roots / (high - low)
+    density = ratio(roots, high - low)
     before = np.where(np.diff(slab, prepend=-2) == 1, np.roll(density, 1), np.nan)
     after = np.where(np.diff(slab, append=-2) == 1, np.roll(density, -1), np.nan)
     a, b = ((density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after))

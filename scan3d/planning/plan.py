@@ -18,9 +18,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, ratio
 from scan3d.choices import MODELS, SPACINGS, Model, Spacing
 from scan3d.errors import InputError
+from scan3d.numbers import is_finite
 from scan3d.rods import Gravity, Rod
 from scan3d.units import UNITS_M, Unit
 
@@ -104,13 +105,13 @@ class Plan:
                 f"friction must be a number >= 0 or a rising range LOW:HIGH of such, at most {LARGEST_FRICTION:g}, "
                 f"got {self.friction}"
             )
-        if not (_is_finite(self.tolerance) and self.tolerance >= 0):
+        if not (is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
-        if not (_is_finite(self.clearance) and SMALLEST_CLEARANCE <= self.clearance < 1):
+        if not (is_finite(self.clearance) and SMALLEST_CLEARANCE <= self.clearance < 1):
             raise InputError(
                 f"clearance must lie between {SMALLEST_CLEARANCE:g} and 1 rod lengths, got {self.clearance}"
             )
-        if not (_is_finite(self.noise) and 0 <= self.noise <= LARGEST_NOISE):
+        if not (is_finite(self.noise) and 0 <= self.noise <= LARGEST_NOISE):
             raise InputError(f"noise must be a number >= 0 and at most {LARGEST_NOISE:g}, got {self.noise}")
         if self.rod is not None and not isinstance(self.rod, Rod):
             raise InputError(f"rod must be a scan3d.Rod or None, got {self.rod!r}")
@@ -119,12 +120,7 @@ class Plan:
                 f"gravity must be a scan3d.Gravity, needed with a rod that has a weight, got {self.gravity!r}"
             )
         self.axes()
-        if self.model == "spatial":
-            self._check_spatial()
-
-    def _check_spatial(self) -> None:
-        """Raise InputError for settings of slices, which the spatial model does not have."""
-        for name in ("spacing", "axis", "tolerance"):
+        for name in ("spacing", "axis", "tolerance") if self.model == "spatial" else ():
             value, default = getattr(self, name), getattr(type(self), name)
             if not np.array_equal(value, default):
                 raise InputError(
@@ -137,7 +133,7 @@ class Plan:
         ends: list[Any] = [self.friction] * 2 if np.ndim(self.friction) == 0 else list(self.friction)  # type: ignore[arg-type]
         if len(ends) != 2:
             raise InputError(f"a range of friction has two ends, got {self.friction}")
-        if not all(map(_is_finite, ends)):
+        if not all(map(is_finite, ends)):
             raise InputError(f"friction must be a number >= 0, or a range of two such numbers, got {self.friction!r}")
         return float(ends[0]), float(ends[1])
 
@@ -162,16 +158,6 @@ class Plan:
             )
         vectors /= np.abs(vectors).max(axis=1, keepdims=True)  # so that squares are numbers of a computer
         return np.array([vector / np.linalg.norm(vector) for vector in vectors])
-
-
-def _is_finite(value: object) -> bool:
-    """Whether it is one real number; a whole number may be too large for a float."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
 
 
 def check_choice(name: str, value: object, known: Iterable[str]) -> None:
@@ -261,8 +247,7 @@ def further_directions(points: Array, normals: Array, width: float, limit: float
     ahead = angle + gap
     before = np.maximum(-chord[:, 0] * np.cos(angle) - chord[:, 1] * np.sin(angle), 0.0)
     after = np.maximum(chord[:, 0] * np.cos(ahead) + chord[:, 1] * np.sin(ahead), 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        height = np.nan_to_num(before * after / (np.hypot(*chord.T) * np.sin(gap)))
+    height = np.nan_to_num(ratio(before * after, np.hypot(*chord.T) * np.sin(gap)))
     open_height = np.where(gap >= np.pi, width, height)
     limit = OPEN_FRACTION * width if limit is None else limit
     middle = (angle + gap / 2)[open_height > limit]
@@ -388,8 +373,7 @@ def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Arr
     target, size = corners.mean(axis=1), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     height = ((corners - target[:, None]) * normals[faces]).sum(axis=2)
     slope = (outward[:, None] * normals[faces]).sum(axis=2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(slope > 0, height / slope, np.inf).min(axis=1)
+    room = np.where(slope > 0, ratio(height, slope), np.inf).min(axis=1)
     room = np.clip(room, 0.0, size)
     turn = np.where(slope > 0, slope, 0.0).min(axis=1)  # cosine of the largest angle to a corner's normal
     tree, taken = cKDTree(target), np.zeros(len(target), dtype=bool)

@@ -354,7 +354,11 @@ def _poses(sweeps: list[Sweep], space: Space, first: int) -> Iterator[_Pose]:
     """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
     previous: tuple[Array, Array] | None = None
     for number, (position, axes) in enumerate(sweeps, start=first):
-        start, end = (_drawn_back(position[k], axes, space) for k in (0, -1))
+        # drawn back along its rod, until the tip is behind the supporting plane
+        start, end = (
+            place - max(place @ axes[1] + space.length - space.behind(axes[1]), 0.0) * axes[1]
+            for place in position[[0, -1]]
+        )
         if previous is not None:
             yield from (
                 (number, place, turned, Move.APPROACH) for place, turned in _turn(previous, (start, axes), space)
@@ -363,11 +367,6 @@ def _poses(sweeps: list[Sweep], space: Space, first: int) -> Iterator[_Pose]:
         yield from ((number, place, axes, Move.SWEEP) for place in position)
         yield number, end, axes, Move.RETRACT
         previous = end, axes
-
-
-def _drawn_back(place: Array, axes: Array, space: Space) -> Array:
-    """The place of a clamp that is drawn back along its rod, until the tip is behind the supporting plane."""
-    return np.asarray(place - max(place @ axes[1] + space.length - space.behind(axes[1]), 0.0) * axes[1])
 
 
 def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) -> list[tuple[Array, Array]]:

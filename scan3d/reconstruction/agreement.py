@@ -91,13 +91,19 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     else:
         touched = cloud.fattened or cloud  # by the rod's centre line
         alone = _off_line(recording) + _out_of_plane(recording, touched) + alone
-        found = _in_slices(recording, replace(touched, convex=cloud.convex, second=cloud.second))
+        pressed = int(felt(recording.pressing(six_axis=False), recording.noise.of_reactions(recording.rod)).sum())
+        found = _without_contact(1 - (len(cloud) + cloud.light + cloud.second) / pressed if pressed else 0.0)
+        found += shape_contradictions(recording, touched) if cloud.convex else []
     if alone:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
         diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
     if left is not None and left.too_many:
-        found.append(_too_wild(left.share))
+        text = (
+            f"{share(left.share)} of the rows with a force contradict their neighbours by more than the stated noise: more "
+            f"than {share(LARGEST_SHARE)}, or many that follow each other, are no wild rows that may be left out"
+        )
+        found.append(Contradiction("wild-rows", text, left.share))
     relative = 0.0 if cloud.calibration is None else cloud.calibration.relative
     if (found or relative) and (diagnosis is None or cloud.model == "spatial"):
         diagnosis = diagnose(recording, cloud.model)
@@ -142,21 +148,6 @@ def _followed(recording: Recording) -> list[Contradiction]:
         "tests: measure the force for a certificate"
     )
     return [Contradiction("followed", text, np.nan)]
-
-
-def _too_wild(part: float) -> Contradiction:
-    """That rows contradict the rest, and can't be left out."""
-    text = (
-        f"{share(part)} of the rows with a force contradict their neighbours by more than the stated noise: more than "
-        f"{share(LARGEST_SHARE)}, or many that follow each other, are no wild rows that may be left out"
-    )
-    return Contradiction("wild-rows", text, part)
-
-
-def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
-    pressed = int(felt(recording.pressing(six_axis=False), recording.noise.of_reactions(recording.rod)).sum())
-    found = _without_contact(1 - (len(cloud) + cloud.light + cloud.second) / pressed if pressed else 0.0)
-    return found + shape_contradictions(recording, cloud) if cloud.convex else found
 
 
 def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:

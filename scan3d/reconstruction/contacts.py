@@ -34,13 +34,11 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Recording, followed, of_rows
+from scan3d.recording import FORCE_SIGMAS, Recording, followed, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
 
-# Position, force and moment in SI units whose products are no numbers of a computer.
-_LARGEST = 1e60
 # The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, which is
 # rounding, plus this many per standard deviation of the noise.
 _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
@@ -56,15 +54,10 @@ _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 def model_of(recording: Recording, method: str = "closed-form", model: str | None = None) -> str:
     """The model by which a recording is read, 'planar' or 'spatial'; see `scan3d.reconstruct`.
 
-    Raises InputError if the recording has numbers so large that their squares are none, or not the axes that the model needs.
+    Raises InputError if the recording has not the axes that the model needs.
     """
     if model not in (None, *MODELS):
         raise InputError(f"model must be one of {', '.join(MODELS)}, got {model!r}")
-    six_axes = SIX_AXES if recording.six_axis else ()
-    for name in ("position_m", "force_N", "moment_Nm", *six_axes):
-        largest = float(np.abs(getattr(recording, name)).max())
-        if largest > _LARGEST:
-            raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     if model == "planar" or (model is None and not recording.six_axis):
         return "planar"
     if method != "closed-form":
@@ -439,29 +432,22 @@ def _moved_by_radius(cloud: Cloud, force: Array, radius: Array) -> Cloud:
     return replace(cloud, points=points, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)))
 
 
-class RadiusErrors(NamedTuple):
-    """By how much contacts were moved from the rod's centre line onto the surface, and the errors that leaves."""
+def radius_errors(cloud: Cloud) -> dict[str, float | None]:
+    """By how much contacts were moved from the rod's centre line onto the surface, and the errors that leaves, in their unit.
 
-    moved: float
-    left: float | None
-    """Error of 95 % of the contacts with known normals at most, by the uncertainty of the normals; None if there are none, and
-    in the planar model, where the inclination of the normals to the slices has no known uncertainty."""
-    unknown_normals: int
-    """Contacts with unknown normals, which were moved along the force."""
-    left_unknown: float | None
-    """Their error, by the angle between force and normal; None if there are none."""
-
-
-def radius_errors(cloud: Cloud) -> RadiusErrors:
-    """What the rod's radius does to the contacts of a cloud, in its unit."""
+    `left` is that of 95 % of the contacts with known normals at most, by the uncertainty of the normals; None if there are
+    none, and in the planar model, where the inclination of the normals to the slices has no known uncertainty.
+    `unknown_normals` are the contacts without, which were moved along the force, and `left_unknown` is their error, by the
+    angle between force and normal; None if there are none.
+    """
     unknown = np.isnan(cloud.normals[:, 0])
     sd = np.empty(0) if cloud.normal_sd is None or cloud.model == "planar" else cloud.normal_sd[~unknown]
-    return RadiusErrors(
-        cloud.rod_radius,
-        cloud.rod_radius * _SIGMAS_95 * float(np.percentile(sd, 95)) if len(sd) else None,
-        int(unknown.sum()),
-        cloud.rod_radius * friction_angle(cloud) if unknown.any() else None,
-    )
+    return {
+        "moved": cloud.rod_radius,
+        "left": cloud.rod_radius * _SIGMAS_95 * float(np.percentile(sd, 95)) if len(sd) else None,
+        "unknown_normals": int(unknown.sum()),
+        "left_unknown": cloud.rod_radius * friction_angle(cloud) if unknown.any() else None,
+    }
 
 
 def friction_angle(cloud: Cloud) -> float:

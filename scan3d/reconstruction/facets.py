@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, unit_or_zero
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit_or_zero
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
@@ -116,9 +116,7 @@ def completed(planes: Array, cloud: Cloud, inner: Array, corners: Array) -> Arra
 
 def _slopes(points: Array, across: Array, value: Array, height: float) -> Array:
     """Slopes (n, s) of the planes through points (n, 3) and through sides at a height, with normals (2, s) and values (s,)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slopes: Array = (points[:, :2] @ across - value) / (points[:, 2:] - height)
-    return slopes
+    return ratio(points[:, :2] @ across - value, points[:, 2:] - height)
 
 
 def _of_stack(stack: SliceStack, points: Array, size: float, only_shown: bool) -> tuple[Array, Array]:

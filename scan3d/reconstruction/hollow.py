@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
@@ -246,8 +246,7 @@ def _estimated_normals(cloud: Cloud) -> Array:
     offset = cloud.points[near] - cloud.points[rows, None]
     along, across = np.einsum("nki,ni->nk", offset, axis), np.einsum("nki,ni->nk", offset, level)
     spread = (along**2).sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tilt = -(along * across).sum(axis=1) / spread
+    tilt = ratio(-(along * across).sum(axis=1), spread)
     known = np.isfinite(tilt)
     tilted = level[known] + tilt[known, None] * axis[known]
     normals[rows[known]] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)

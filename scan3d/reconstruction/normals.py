@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio, unit
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.arcs import Places, arcs_at
 from scan3d.geometry.hulls import edges_of, hull_about_mean
@@ -144,17 +144,19 @@ def with_slice_normals(cloud: Cloud) -> Cloud:
 def height_slopes(stack: SliceStack) -> list[tuple[Array, Array]]:
     """∂h/∂z at the tangential (k,) and at the tip contacts (l,) of every slice; NaN where there is only one slice.
 
-    ``(h - <c, n>)²``, with c(z) the Steiner point, is nearly a parabola in z, even at the poles (for ellipsoids it is exactly
-    a parabola).  Its cubic spline through the slice and its `NEIGHBOURS` on either side, or as many more on one side as lack on
-    the other, gives the slope, which is then clipped to the secants: concavity makes them its bounds.
+    ``(h - <c, n>)²``, with c(z) the Steiner point ``(1/π) ∫ h n dθ``, is nearly a parabola in z, even at the poles (for
+    ellipsoids it is exactly a parabola).  Its cubic spline through the slice and its `NEIGHBOURS` on either side, or as many
+    more on one side as lack on the other, gives the slope, which is then clipped to the secants: concavity makes them its
+    bounds.
     """
     slopes = [(np.full(len(slice_.tangential), np.nan), np.full(len(slice_.tip), np.nan)) for slice_ in stack.slices]
     known = np.flatnonzero([slice_.closed for slice_ in stack.slices])
     if len(known) < 2:
         return slopes
     z, closed = stack.heights[known], [stack.slices[i] for i in known]
-    centers = np.array([slice_.steiner_point() for slice_ in closed])
-    functions = SupportFunctions(closed)
+    functions, angle = SupportFunctions(closed), 2 * np.pi * np.arange(360) / 360
+    h = functions.at(angle)
+    centers = 2 * np.stack([(h * np.cos(angle)).mean(axis=1), (h * np.sin(angle)).mean(axis=1)], axis=1)
     for i, slice_ in enumerate(closed):
         first = max(0, min(i - NEIGHBOURS, len(closed) - 2 * NEIGHBOURS - 1))
         near, k = slice(first, first + 2 * NEIGHBOURS + 1), i - first
@@ -178,8 +180,7 @@ def _slope_at(z: Array, h: Array, centers: Array, k: int, normals: Array) -> Arr
     relative = h - centers @ normals.T
     ends = "not-a-knot" if len(z) > 3 else "natural"
     slopes = CubicSpline(z, np.hstack([centers, relative**2]), bc_type=ends)(z[k], 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = normals @ slopes[:2] + slopes[2:] / (2 * relative[k])
+    slope = normals @ slopes[:2] + ratio(slopes[2:], 2 * relative[k])
     slope = np.where(np.isfinite(slope), slope, np.where(np.isfinite(above), above, below))
     slope = np.clip(slope, np.minimum(above, below), np.maximum(above, below))
     return slope
@@ -211,9 +212,7 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
     axis, width, edge = _cones(hull, points[rows] - middle, NEGLIGIBLE * size)
     sharp = tangential[rows] & np.isfinite(edge[:, 0])
     # the supporting plane contains the edge and the tangent
-    exact = np.cross(tangents[rows], edge)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    exact = unit(np.cross(tangents[rows], edge))
     cosine = (exact * axis).sum(axis=1)
     exact *= np.sign(cosine)[:, None]
     sharp &= np.abs(cosine) >= np.cos(np.minimum(width, np.pi)) - _ROUNDING  # it lies between the facets' normals
@@ -240,8 +239,7 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         starts = np.searchsorted(point, np.arange(len(part)))
         normal = normals[facet]
         total = np.add.reduceat(normal, starts)
-        with np.errstate(divide="ignore", invalid="ignore"):  # on a flat hull, whose facets are opposite
-            axis = total / np.linalg.norm(total, axis=1, keepdims=True)
+        axis = unit(total)  # NaN on a flat hull, whose facets are opposite
         cosine = (axis[point] * normal).sum(axis=1)
         smallest = np.minimum.reduceat(cosine, starts)
         # the facet of each point whose normal is farthest from the axis
@@ -250,8 +248,7 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         rows = slice(first, first + _BLOCK)
         edge = np.cross(axis, normal[farthest])
         size = np.linalg.norm(edge, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            edge /= size[:, None]
+        edge = ratio(edge, size[:, None])
         across = np.maximum.reduceat(np.abs((edge[point] * normal).sum(axis=1)), starts)
         edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
         middle[rows], edges[rows] = axis, edge

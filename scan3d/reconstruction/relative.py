@@ -64,8 +64,8 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     Where opposed sweeps over the same place contradict each other, the contacts are those with the relative error of the wrench
     that explains it, of at most 0.5 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
     how much deeper noisy contacts lie in the hull of all than their noise explains, which widens the bounds.
-    Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
-    model needs, and ValueError for an unknown method.
+    Raises InputError if the recording has no contact, or not the axes that the model needs, and ValueError for an unknown
+    method.
     """
     if model_of(recording, method, model) == "spatial":
         found = with_rig_errors(spatial_contacts(recording), recording)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, evenly
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, Tilt
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
@@ -45,8 +45,6 @@ _SAME_NORMAL = 1e-3
 _SPREADS = 2.0
 # Tilted sweeps lie in one slice if their planes meet within this many rod lengths of the middle of the contacts.
 _TILTED = 0.2
-# Directions over which a slice's Steiner point is averaged.
-_STEINER_DIRECTIONS = 360
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
 # Support lines at most that bound the section of a body beyond its slices.
@@ -200,20 +198,6 @@ class Slice:
         """(v, 2) the vertices of the points' hull, or all points if they lie on a line."""
         return self.outline if len(self.outline) else self.points
 
-    def support(self, angle: Array) -> Array:
-        """Support function (n,) at angles (n,), as `SupportFunctions.at`."""
-        return self._support.at(angle)[0]
-
-    @cached_property
-    def _support(self) -> SupportFunctions:
-        return SupportFunctions((self,))
-
-    def steiner_point(self) -> Array:
-        """(2,) the slice's Steiner point, ``(1/π) ∫ h n dθ``."""
-        angle = 2 * np.pi * np.arange(_STEINER_DIRECTIONS) / _STEINER_DIRECTIONS
-        h = self.support(angle)
-        return 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
-
 
 class SupportFunctions:
     """The support functions of slices with known normals, evaluated together, which takes a fraction of the time.
@@ -261,8 +245,7 @@ class SupportFunctions:
         x, y = np.cos(angle), np.sin(angle)
         left_x, left_y, right_x, right_y = self._corners[:, i]
         lower = np.maximum(x * left_x + y * left_y, x * right_x + y * right_y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            upper = (a * np.sin(width * (1 - t)) + b * np.sin(width * t)) / sine
+        upper = ratio(a * np.sin(width * (1 - t)) + b * np.sin(width * t), sine)
         upper = np.where((width < np.pi) & np.isfinite(upper), np.maximum(upper, lower), np.inf)
         return np.clip(cubic, lower, upper)
 
@@ -326,7 +309,9 @@ def stacks(cloud: Cloud) -> list[SliceStack]:
 
 def _computed(cloud: Cloud) -> list[SliceStack]:
     by_axis = []
-    rows = _rows_of_slices(cloud)
+    order = np.argsort(cloud.slice, kind="stable")
+    first = np.searchsorted(cloud.slice[order], np.arange(len(cloud.slice_height) + 1))
+    rows = [order[start:end] for start, end in itertools.pairwise(first)]
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
@@ -358,13 +343,6 @@ def _on_table(stack: SliceStack, height: float) -> SliceStack:
     if down[2] < 0:
         return replace(stack, floor=max(stack.floor, min(height, float(stack.heights[0]))))
     return replace(stack, ceiling=min(stack.ceiling, max(-height, float(stack.heights[-1]))))
-
-
-def _rows_of_slices(cloud: Cloud) -> list[Index]:
-    """The contacts of each slice of a cloud, in the order of the cloud."""
-    order = np.argsort(cloud.slice, kind="stable")
-    first = np.searchsorted(cloud.slice[order], np.arange(len(cloud.slice_height) + 1))
-    return [order[start:end] for start, end in itertools.pairwise(first)]
 
 
 def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:

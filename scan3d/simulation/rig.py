@@ -152,7 +152,14 @@ def simulate_rig(
     metres = UNITS_M[unit]
     length, radius = real.length_m / metres, real.diameter_m / metres / 2
     tracks, members = _tracks(rows, friction, seed, metres)
-    _check_begins(mesh, tracks, length, radius)
+    start = np.array([track.position[0] for track in tracks])
+    touches = segments_meet(mesh, start, np.array([track.axes[0, 1] for track in tracks]), length, radius)
+    if touches.any():
+        raise InputError(
+            f"the rod lies in the body where {touches.sum()} of {len(tracks)} sweeps begin, first sweep "
+            f"{tracks[int(np.argmax(touches))].number}: the body is larger than what the poses were planned for, or stands "
+            "elsewhere; plan with a larger --around"
+        )
     reactions = felt(mesh, tracks, real, metres, model)
     wrench = np.zeros((len(rows.time), 6))
     for part, where in zip(reactions, members, strict=True):
@@ -165,7 +172,18 @@ def simulate_rig(
         source["moved"] = mesh.metadata["placed"]
     table = TABLE if "placed" in mesh.metadata else None
     log = RawLog(*rows, wrench, nominal, model, faults, unit, source, warnings, table)
-    return log if faults is None else _with_faults(log, faults)
+    if faults is None:
+        return log
+    keep = kept(len(log), faults)
+    return replace(
+        log,
+        time_s=log.time_s[keep],
+        sweep=np.where(log.move == Move.SWEEP, log.sweep, BETWEEN)[keep],
+        move=log.move[keep],
+        position_m=logged_positions(log.position_m, faults)[keep],
+        quaternion=log.quaternion[keep],
+        wrench=measured(wrench[:, :3], wrench[:, 3:], faults, (nominal.force_unit_N, nominal.moment_unit_Nm))[keep],
+    )
 
 
 def _rows_of(poses: PoseList, faults: Faults | None) -> _Rows:
@@ -215,19 +233,6 @@ def _tracks(
     return tracks, members
 
 
-def _check_begins(mesh: Any, tracks: list[Track], length: float, radius: float) -> None:
-    """Raise InputError if the rod lies in the body where a sweep begins."""
-    start = np.array([track.position[0] for track in tracks])
-    along = np.array([track.axes[0, 1] for track in tracks])
-    touches = segments_meet(mesh, start, along, length, radius)
-    if touches.any():
-        raise InputError(
-            f"the rod lies in the body where {touches.sum()} of {len(tracks)} sweeps begin, first sweep "
-            f"{tracks[int(np.argmax(touches))].number}: the body is larger than what the poses were planned for, or stands "
-            "elsewhere; plan with a larger --around"
-        )
-
-
 def _warnings(
     mesh: Any, poses: PoseList, reactions: list[Reactions], sizes: tuple[float, float, float]
 ) -> tuple[str, ...]:
@@ -253,17 +258,3 @@ def _warnings(
             f"in {lost} sweeps the computation found no equilibrium after some place, as at a snap; none is logged"
         )
     return tuple(sentences)
-
-
-def _with_faults(log: RawLog, faults: Faults) -> RawLog:
-    """The log as a rig with these faults writes it."""
-    keep, rod = kept(len(log), faults), log.rod
-    return replace(
-        log,
-        time_s=log.time_s[keep],
-        sweep=np.where(log.move == Move.SWEEP, log.sweep, BETWEEN)[keep],
-        move=log.move[keep],
-        position_m=logged_positions(log.position_m, faults)[keep],
-        quaternion=log.quaternion[keep],
-        wrench=measured(log.wrench[:, :3], log.wrench[:, 3:], faults, (rod.force_unit_N, rod.moment_unit_Nm))[keep],
-    )

@@ -357,11 +357,21 @@ class AxisScan:
             return []
         nearest = min(filled, key=lambda j: abs(self.heights[j] - self.heights[i]))
         outline = np.concatenate([self.outline(nearest), self._extrapolated(nearest, filled, self.heights[i])])
-        swept = []
+        swept, n = [], self.plan.samples
         for angle in first_directions(self.plan):
             line = base_line(outline, angle, self.plan.clearance * self.length)
             across = (outline - line.origin) @ line.axes[0] / self.length
-            swept.append(_Swept(i, line, self._nothing(across)))
+            x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
+            unknown, phase = np.full(n, np.nan), np.full(n, planar.Phase.NONE, dtype=np.int8)
+            swept.append(
+                _Swept(
+                    i,
+                    line,
+                    planar.Sweep(
+                        x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown
+                    ),
+                )
+            )
         return swept
 
     def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
@@ -377,14 +387,6 @@ class AxisScan:
         ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
         scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
         return centre + ahead * (centre - before) + scaled * (contour - centre)
-
-    def _nothing(self, across: Array) -> planar.Sweep:
-        """A sweep without contact, past positions (n,) along its base line in rod lengths."""
-        n = self.plan.samples
-        x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
-        unknown = np.full(n, np.nan)
-        phase = np.full(n, planar.Phase.NONE, dtype=np.int8)
-        return planar.Sweep(x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown)
 
     def _lines(self, i: int, directions: Array, *, first: bool = False) -> list[BaseLine]:
         """Base lines of sweeps of slice i from some directions: with the `first` ones, nearer and farther ones."""

@@ -79,8 +79,7 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     reach = 2 * np.abs(body.vertices).max() + 1
     start = lines.origin.T + reach * x
     passage = passages(body, start, y, -x)
-    with np.errstate(invalid="ignore"):
-        rows = np.flatnonzero(passage.touches & (passage.end > passage.begin + _BEFORE))
+    rows = np.flatnonzero(passage.touches & (passage.end > passage.begin + _BEFORE))
     if not len(rows):
         return []
     begin, end = passage.begin[rows], passage.end[rows]
@@ -110,9 +109,8 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
     """
     number, position, wrench, sweeps = [], [], [], 0
     for part in swept:
-        with np.errstate(invalid="ignore"):  # no arc length without contact
-            # in rod lengths: the force grows without limit
-            too_near = np.maximum.accumulate(part.result.s1 < 0.2, axis=1)
+        # in rod lengths: the force grows without limit
+        too_near = np.maximum.accumulate(part.result.s1 < 0.2, axis=1)
         touching = np.isfinite(part.result.s1) & ~too_near
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar.elastica import bend_with_slopes
-from scan3d.arrays import NEGLIGIBLE, Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask, ratio
 from scan3d.spatial.bodies import Patch, basis, dot
 
 
@@ -78,8 +78,7 @@ def bent(state: Array, clamp: Clamp) -> Bent:
         modulus, rest = np.sqrt(modulus_squared), np.sqrt(complement)
     # φ1 = α - β with β = 2 arcsin k - π/2
     angle = alpha - 2 * np.arctan2(modulus, rest) + np.pi / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rate = 1 / (modulus * rest)
+    rate = ratio(1, modulus * rest)
     cos_1, sin_1 = np.cos(angle), np.sin(angle)
     sin_alpha, cos_alpha = 2 * s * c, (c - s) * (c + s)
     return Bent(

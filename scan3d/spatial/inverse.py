@@ -16,7 +16,6 @@ independent of each other.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import planar
 from planar.inverses import solve
+from planar.tables import Explained
 from planar.uncertainty import DIFFERENCE
 from scan3d.arrays import Array, Index
 from scan3d.spatial import march
@@ -34,28 +34,21 @@ PAST_TIP = 0.999
 """Tolerance with which contacts that errors put past the tip by nearly the rod's length have a place as well."""
 
 
-class Status(IntEnum):
+class Status(Explained):
     """Whether a row of reactions gives a contact, and if not, why; `sentence` explains it."""
 
-    OK = 0
-    NO_FORCE = 1
-    NO_MOMENT = 2
-    NO_ROD = 3
-    BEYOND_TIP = 4
-
-    @property
-    def sentence(self) -> str:
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Status.OK: "a contact",
-    Status.NO_FORCE: "nothing touches: there is no force, or a value is missing or infinite",
-    Status.NO_MOMENT: "the force has no moment that bends the rod: the rod is straight, and its bending plane and the place of "
-    "the contact along it are unknown",
-    Status.NO_ROD: "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod",
-    Status.BEYOND_TIP: "the contact would lie past the rod's tip",
-}
+    OK = 0, "a contact"
+    NO_FORCE = 1, "nothing touches: there is no force, or a value is missing or infinite"
+    NO_MOMENT = (
+        2,
+        "the force has no moment that bends the rod: the rod is straight, and its bending plane and the place of "
+        "the contact along it are unknown",
+    )
+    NO_ROD = (
+        3,
+        "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod",
+    )
+    BEYOND_TIP = 4, "the contact would lie past the rod's tip"
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, unit
 
 # Widths of the windows for exact data.
 _WIDTHS = (3, 5, 7, 9)
@@ -128,8 +128,7 @@ def along_sweeps(track: Track) -> Normals:
 
 def frictionless(beta: Array, beta_sd: Array | float = 0.0) -> bool:
     """Whether the angles β (n,) of tangential contacts say that there is no friction, so that ``n = F/f`` at all contacts."""
-    with np.errstate(invalid="ignore"):
-        vanishing = np.abs(beta) <= 1e-7 + 5 * np.asarray(beta_sd)
+    vanishing = np.abs(beta) <= 1e-7 + 5 * np.asarray(beta_sd)
     return len(beta) >= 20 and float(np.mean(vanishing)) >= 0.99
 
 
@@ -316,14 +315,14 @@ def _slip(track: Track, rows: Index, slopes: Array) -> Array:
 
 def _from_slip(track: Track, rows: Index, slopes: Array) -> Array:
     force = track.force[rows]
-    normal = force - _along(force, _unit(_slip(track, rows, slopes)))
+    normal = force - _along(force, unit(_slip(track, rows, slopes)))
     # in tangential contact the normal is perpendicular to the rod, exactly
     across = normal - _along(normal, track.tangent[rows])
-    return _unit(np.where(track.tangential[rows, None], across, normal))
+    return unit(np.where(track.tangential[rows, None], across, normal))
 
 
 def _from_path(track: Track, rows: Index, slopes: Array) -> Array:
-    normal = _unit(np.cross(track.tangent[rows], slopes[:, :3]))
+    normal = unit(np.cross(track.tangent[rows], slopes[:, :3]))
     outward = np.where((normal * track.force[rows]).sum(axis=1) < 0, -1.0, 1.0)
     outward[~track.tangential[rows]] = np.nan
     return np.asarray(outward[:, None] * normal)
@@ -332,7 +331,7 @@ def _from_path(track: Track, rows: Index, slopes: Array) -> Array:
 def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, source: Source) -> Array:
     """Standard deviation (k,) of the normal's angle: truncation by the second estimate, noise and rounding."""
     rows = slopes.rows
-    slip, tangential, force = _slip(track, rows, slopes.used), track.tangential[rows], _unit(track.force[rows])
+    slip, tangential, force = _slip(track, rows, slopes.used), track.tangential[rows], unit(track.force[rows])
     speed = np.linalg.norm(slip, axis=1)
     direction = slip / speed[:, None]
     sideways = np.cross(normal, direction)
@@ -380,11 +379,6 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
     return np.where((cosine > 0) & np.isfinite(squares), np.sqrt(squares), np.inf)
 
 
-def _along(vectors: Array, unit: Array) -> Array:
+def _along(vectors: Array, direction: Array) -> Array:
     """The parts (n, 3) of vectors along unit vectors."""
-    return np.asarray((vectors * unit).sum(axis=1, keepdims=True) * unit)
-
-
-def _unit(vectors: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+    return np.asarray((vectors * direction).sum(axis=1, keepdims=True) * direction)

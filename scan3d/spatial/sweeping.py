@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, ratio
 from scan3d.spatial.bodies import LARGEST_TURN, Body, Patch, dot, unit
 from scan3d.spatial.equilibrium import Bent, Law, Mode, System, bent, system, wrench
 from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches, later_touches
@@ -347,8 +347,7 @@ class _Lanes:
             step *= np.where(np.linalg.det(jacobian) < 0, -1.0, 1.0)
         state = lanes.trial_state[:, rows]
         part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / LARGEST_TURN)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = np.minimum(part, np.where(step[3] < 0, -state[3] / step[3] / 2, np.inf))
+        part = np.minimum(part, np.where(step[3] < 0, ratio(-state[3], step[3]) / 2, np.inf))
         here = Patch(*(column[:, rows] for column in patch))
         feature, coordinates, taken = self.body.moved(
             lanes.trial_feature[rows], lanes.trial_coordinates[:, rows], here, part * step[4:]

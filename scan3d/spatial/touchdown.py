@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, ratio
 from scan3d.spatial.bodies import Body, cross, dot, sphere_directions, unit
 from scan3d.spatial.equilibrium import Clamp
 
@@ -156,8 +156,7 @@ def _ray(body: Body, start: Array, travel: Array) -> tuple[Array, Array, Index, 
     """Where points enter and leave the polyhedron of `_SPHERE` about the body, and the numbers of the planes there."""
     height = dot(body.extreme(_SPHERE)[2], _SPHERE)
     rate, gap = _SPHERE.T @ travel, height[:, None] - _SPHERE.T @ start
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = gap / rate
+    distance = ratio(gap, rate)
     inward, outward = np.where(rate < 0, distance, -np.inf), np.where(rate > 0, distance, np.inf)
     return inward.max(axis=0), outward.min(axis=0), np.argmax(inward, axis=0), np.argmin(outward, axis=0)
 

@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, highest
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, highest, ratio
 from scan3d.bounds.cells import applicable, cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
@@ -376,8 +376,7 @@ def _room(cloud: Cloud, beside: Index, places: Array, outward: Array) -> Array:
         height, slope = (step * cloud.normals[rows]).sum(axis=1), (outward * cloud.normals[rows]).sum(axis=1)
         if cloud.normal_sd is not None:
             height += cloud.normal_sd[rows] * np.linalg.norm(step, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.minimum(room, np.where(slope > 0, np.maximum(height, 0.0) / slope, np.inf))
+        room = np.minimum(room, np.where(slope > 0, ratio(np.maximum(height, 0.0), slope), np.inf))
     return room
 
 

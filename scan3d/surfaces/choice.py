@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import SOME, Array, evenly
+from scan3d.arrays import SOME, Array, evenly, ratio
 from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
@@ -116,7 +116,10 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     """
     diagonal = float(np.linalg.norm(np.ptp(bounds.inner.vertices, axis=0)))
     if with_fit and bounds.bound <= _PROVEN * diagonal:
-        return _proven(cloud, bounds)
+        confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
+        proven = length(bounds.bound, cloud.unit, digits=2, up=True)
+        reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
+        return _labelled(bounds.inner.copy(), "hull", reason)
     if cloud.model == "spatial":
         cloud = cloud.select(np.flatnonzero(np.isfinite(cloud.points + cloud.normals).all(axis=1)))
     parts = hold_out(cloud)
@@ -214,14 +217,6 @@ def _regression(cloud: Cloud, bounds: Enclosure, why: str) -> Any:
     return _labelled(mesh, "regression", f"{planes} planes, fitted to the contacts with their uncertainties: {why}")
 
 
-def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
-    """The inner body, if it is proven close enough to the true one."""
-    confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
-    proven = length(bounds.bound, cloud.unit, digits=2, up=True)
-    reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
-    return _labelled(bounds.inner.copy(), "hull", reason)
-
-
 def _degree(fit: SupportFit) -> str:
     return f"support function of degree {fit.degree}"
 
@@ -304,8 +299,8 @@ def _slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
 def error_of_surface(surface: Any, held_out: Cloud) -> HeldOutError:
     """The error of a convex surface at held-out contacts (n,)."""
     distance, _, foot = nearest(held_out.points, surface)
-    with np.errstate(divide="ignore", invalid="ignore"):  # contacts on the surface itself have no direction to it
-        return _error(distance, (held_out.points - foot) / distance[:, None], held_out)
+    # contacts on the surface itself have no direction to it
+    return _error(distance, ratio(held_out.points - foot, distance[:, None]), held_out)
 
 
 def error_of_fit(fit: SupportFit, kept: Cloud, held_out: Cloud) -> HeldOutError:
