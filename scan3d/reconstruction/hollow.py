@@ -50,7 +50,10 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     if not friction > 0:  # then the path alone tells, and of a contact without another one nearby not even that
         refused |= rows.alone()
     passed = rows.passed(refused)
-    kept = (rows.touching & ~(refused | passed))[cloud.row]
+    wrong = refused | passed
+    if cloud.covariance is not None:
+        wrong |= rows.beside(wrong)
+    kept = (rows.touching & ~wrong)[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
     if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
         return cloud
@@ -107,17 +110,32 @@ class _Rows:
 
     def alone(self) -> Mask:
         """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
-        alone = np.zeros(len(self.touching), dtype=bool)
-        error = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf)
         step = np.median(np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps]))
+        return self._unconfirmed(self.touching, self.touching, _NEIGHBOURS * float(step))
+
+    def beside(self, wrong: Mask) -> Mask:
+        """(n,) contacts next to a wrong one of their sweep, with no other contact where they are.
+
+        A rod has a second contact over several rows; at the first and the last ones noise hides it from other tests.
+        """
+        beside, left = np.zeros(len(wrong), dtype=bool), self.touching & ~wrong
+        for sweep in self.sweeps:
+            beside[sweep[1:]] |= wrong[sweep[:-1]]
+            beside[sweep[:-1]] |= wrong[sweep[1:]]
+        return self._unconfirmed(left & beside, left & ~beside, 0.0)
+
+    def _unconfirmed(self, asked: Mask, others: Mask, apart: float) -> Mask:
+        """(n,) contacts of those asked that lie farther than that, and than their errors, from all of the others."""
+        found = np.zeros(len(asked), dtype=bool)
+        error, own = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf), int(asked is others)
         for plane, members in self._slices():
             rows = np.concatenate(members)
-            rows = rows[self.touching[rows]]
-            if len(rows) > 1:
-                points = self._in_plane(self.found.point[rows], rows, plane)
-                distance, nearest = cKDTree(points).query(points, k=[2])
-                alone[rows] = distance[:, 0] > _NEIGHBOURS * step + error[rows] + error[rows[nearest[:, 0]]]
-        return alone
+            rows, known = rows[asked[rows]], rows[others[rows]]
+            if len(rows) and len(known) > own:
+                points, places = (self._in_plane(self.found.point[part], part, plane) for part in (rows, known))
+                distance, nearest = cKDTree(places).query(points, k=[1 + own])
+                found[rows] = distance[:, 0] > apart + error[rows] + error[known[nearest[:, 0]]]
+        return found
 
     def passed(self, refused: Mask) -> Mask:
         """(n,) the fewest contacts, of those not refused, without which no rod has passed a contact of its slice.
