@@ -16,7 +16,7 @@ coefficient except where that snapped earlier or later.  A rod that finds no equ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from planar import settling
 from planar.arrays import Array, Index, Mask, ratio
 from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
-from planar.several import MOST, Rods, free_rods, reactions, shapes, solve
+from planar.several import MOST, Rods, free_rods, shapes, solve
 from planar.singles import JUMP, Singles, Start
 from planar.tables import Explained
 
@@ -59,17 +59,11 @@ class SweepStatus(Explained):
     )
 
 
-@dataclass(frozen=True)
-class Followed:
-    """States at the samples (n,) of one sweep."""
+class Followed(NamedTuple):
+    """The samples (n,) of one sweep."""
 
-    status: NDArray[np.int8]
     rods: Rods
-    reactions: tuple[Array, Array, Array]
-    point: Array
-    """(n, MOST, 2) contact points."""
-    tau: Array
-    """(n, MOST) tangent angles there."""
+    status: NDArray[np.int8]
 
 
 def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> list[Followed]:
@@ -87,7 +81,7 @@ def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array])
         while len(sweeps.going) > _TOGETHER * sweeps.left():
             sweeps.step()
     return [
-        _followed(outlines, rods.rows(rows), status[rows])
+        Followed(rods.rows(rows), status[rows])
         for rods, status, (_, rows) in zip(sweeps.sampled, sweeps.status, dense, strict=True)
     ]
 
@@ -116,14 +110,6 @@ def _dense(start: float, base: Array) -> tuple[Array, Index]:
     left = rows[of] - np.arange(len(of))
     size = np.where((of == 0) & (before[0] > base[0]), np.maximum(parts[of] - 1, 1), parts[of])
     return np.where(left == 0, base[of], base[of] + left * ((before - base)[of] / size)), rows
-
-
-def _followed(outlines: Outlines, rods: Rods, status: NDArray[np.int8]) -> Followed:
-    place = outlines.at(rods.piece.ravel(), rods.u.ravel())
-    n = len(rods.x0)
-    return Followed(
-        status, rods, reactions(outlines, rods), place.point.reshape(n, MOST, 2), place.tau.reshape(n, MOST)
-    )
 
 
 class _Sweeps:

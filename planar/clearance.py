@@ -59,25 +59,10 @@ def _on_rod(rods: Lines, row: Index, k: Index, w: Array) -> tuple[Array, Array, 
     h = rods.s[row, k + 1] - rods.s[row, k]
     left, right = (Lines(*(column[row, j] for column in rods)) for j in (k, k + 1))
     values = []
-    for a, b, da, db, dda, ddb in (
-        (
-            left.x,
-            right.x,
-            np.cos(left.phi),
-            np.cos(right.phi),
-            -left.kappa * np.sin(left.phi),
-            -right.kappa * np.sin(right.phi),
-        ),
-        (
-            left.y,
-            right.y,
-            np.sin(left.phi),
-            np.sin(right.phi),
-            left.kappa * np.cos(left.phi),
-            right.kappa * np.cos(right.phi),
-        ),
-    ):
-        c1, c2, d1, d2 = h * da, h * h * dda / 2, h * db, h * h * ddb / 2
+    cos, sin = (trig(np.stack([left.phi, right.phi])) for trig in (np.cos, np.sin))
+    bend = h * h * np.stack([left.kappa, right.kappa])
+    for a, b, first, second in ((left.x, right.x, cos, -sin), (left.y, right.y, sin, cos)):
+        (c1, d1), (c2, d2) = h * first, bend * second / 2
         rest = b - a - c1 - c2
         first, second = d1 - c1 - 2 * c2, d2 - c2
         c3, c4, c5 = 10 * rest - 4 * first + second, -15 * rest + 7 * first - 2 * second, 6 * rest - 3 * first + second

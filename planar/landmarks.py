@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +113,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     before = _states(path, table, np.append(left, rows[-1]), x0[1:])
     after = _states(path, table, np.insert(entered, 0, rows[0]), x0[:-1])
     # without contact there is no place, no force and no moment: before touch-down and after the rod has left
-    slope, x, y = (_paired(getattr(before, name), getattr(after, name), np.nan) for name in ("slope", "x", "y"))
-    force, m0z = (_paired(getattr(before, name), getattr(after, name), 0.0) for name in ("force", "m0z"))
+    slope, x, y = map(_paired, before[:3], after[:3], [np.nan] * 3)
+    force, m0z = map(_paired, before[3:], after[3:], [0.0] * 2)
     return Events(
         kind=np.concatenate([[EventKind.TOUCH_DOWN], kind, [EventKind.SNAP_OFF]]).astype(np.int8),
         x0=side * x0,
@@ -125,20 +125,10 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     )
 
 
-class _States(NamedTuple):
-    """Contacts (n,) in a sweep in -x."""
-
-    slope: Array
-    x: Array
-    y: Array
-    force: Array
-    m0z: Array
-
-
-def _states(path: Path, table: segments.Segments, row: Index, x0: Array) -> _States:
+def _states(path: Path, table: segments.Segments, row: Index, x0: Array) -> list[Array]:
+    """Slope, x, y, force and moment (n,) of contacts in a sweep in -x."""
     t, state = segments.solve(path, table, row, x0)
-    slope, x, y = path.at(table.piece[row], t)
-    return _States(slope, x, y, state.root_f**2, 2 * state.q * state.root_f)
+    return [*path.at(table.piece[row], t), state.root_f**2, 2 * state.q * state.root_f]
 
 
 def _paired(before: Array, after: Array, without_contact: float) -> Array:

@@ -84,6 +84,15 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
     return _cut_at_folds(path, segments)
 
 
+def cut_intervals(path: Path, first: Index, stop: Index, friction_angle: Array) -> tuple[Segments, Index]:
+    """Segments of owners that each have the pieces from `first` to `stop`, and where each owner's begin (owners + 1,)."""
+    count = stop - first
+    owner = np.repeat(np.arange(len(count)), count)
+    piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
+    table = cut(path, owner, piece, friction_angle[owner])
+    return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
+
+
 def _rate(path: Path, piece: Index, slope: Array, x0_slope: Array, x0_arc: Array) -> Array:
     """Change of x0 with the parameter of the piece, from its changes with slope and arc length."""
     turn, arc = path.turn[piece], path.arc_rate(piece, slope)

@@ -85,20 +85,10 @@ class Rods:
 def free_rods(x0: Array) -> Rods:
     """Straight rods at base positions (m,)."""
     m = len(x0)
-    zero, no = np.zeros((m, MOST)), np.zeros((m, MOST), dtype=bool)
-    whole = np.zeros((m, MOST), dtype=np.intp)
+    (force, u, zeta), (tip, sticks) = np.zeros((3, m, MOST)), np.zeros((2, m, MOST), dtype=bool)
+    piece = np.zeros((m, MOST), dtype=np.intp)
     return Rods(
-        x0.astype(float),
-        np.zeros(m),
-        np.zeros(m, np.intp),
-        zero,
-        zero + 2,
-        whole,
-        zero.copy(),
-        zero.copy(),
-        zero + 1,
-        no,
-        no.copy(),
+        x0.astype(float), np.zeros(m), np.zeros(m, np.intp), force, force + 2, piece, u, zeta, force + 1, tip, sticks
     )
 
 

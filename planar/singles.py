@@ -84,34 +84,26 @@ class Singles:
 
     def _tabulate(self) -> None:
         """Segments of all runs at the coefficients between which the samples of each sweep lie, rows by sweep and level."""
-        run_begin = np.searchsorted(self.runs.body, np.arange(len(self.bases) + 1))
+        offsets, begins = self.runs.path.offsets, np.searchsorted(self.runs.body, np.arange(len(self.bases) + 1))
         self.levels = [
             np.unique(np.linspace(angle.min(), angle.max(), _LEVELS)) if len(angle) and known else np.zeros(1)
             for angle, known in zip(self.angles, self.known, strict=True)
         ]
-        first, stop, angle, count = [], [], [], []
-        offsets = self.runs.path.offsets
-        for body, levels in enumerate(self.levels):
-            part = np.arange(run_begin[body], run_begin[body + 1])
-            first += [offsets[part]] * len(levels)
-            stop += [offsets[part + 1]] * len(levels)
-            angle.append(np.repeat(levels, len(part)))
-            count += [len(part)] * len(levels)
-        self.table, bounds = self._cut(np.concatenate(first), np.concatenate(stop), np.concatenate(angle))
+        parts = [np.arange(a, b) for a, b in zip(begins[:-1], begins[1:], strict=True)]
+        run = np.concatenate([np.tile(part, len(at)) for part, at in zip(parts, self.levels, strict=True)])
+        angle = np.concatenate([np.repeat(at, len(part)) for part, at in zip(parts, self.levels, strict=True)])
+        self.table, bounds = self._cut(offsets[run], offsets[run + 1], angle)
+        count = np.repeat([len(part) for part in parts], [len(at) for at in self.levels])
         ends = bounds[np.cumsum([0, *count])]
-        slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-        level_of = np.cumsum([0] + [len(levels) for levels in self.levels])
-        self.rows = [slices[a:b] for a, b in zip(level_of[:-1], level_of[1:], strict=True)]
+        slices = map(slice, ends[:-1], ends[1:])
+        self.rows = [[next(slices) for _ in at] for at in self.levels]
 
     def _cut(self, first: Index, stop: Index, angle: Array) -> tuple[segments.Segments, Index]:
         """Segments of intervals of the path, each within one run, and where those of each begin."""
-        count = stop - first
-        owner = np.repeat(np.arange(len(count)), count)
-        piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
-        table = segments.cut(self.runs.path, owner, piece, angle[owner])
+        table, bounds = segments.cut_intervals(self.runs.path, first, stop, angle)
         # along a concave stretch no rod lies
         table.x0[table.tangential & (self.runs.hollow[table.piece] == 2)] = np.nan
-        return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
+        return table, bounds
 
     def place(self, piece: int, u: float) -> int:
         """The path's piece at a place of the outline, -1 where it is none."""

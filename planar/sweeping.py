@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, rod_sweeps, segments
-from planar.any_body import Followed, SweepStatus, follow, last_contacts
+from planar.any_body import SweepStatus, follow, last_contacts
 from planar.arrays import BLOCK, Array, Index, Mask
 from planar.contours import Contour, Polygon, check_contour, mirrored
 from planar.loops import Outlines
 from planar.paths import Path, check_height, polygon_paths
 from planar.reactions import Reactions
 from planar.rods import Rod
-from planar.segments import Segments
+from planar.segments import Segments, cut_intervals
+from planar.several import Rods, reactions
 from planar.tables import counted, to_frame, words
 
 if TYPE_CHECKING:
@@ -306,7 +307,7 @@ def _tables(path: Path, frictions: list[Array]) -> _Tables:
     ]
     sweep_of_level = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
     first, stop = path.offsets[sweep_of_level], path.offsets[sweep_of_level + 1]
-    table, bounds = _table(path, first, stop, np.arctan(np.concatenate(levels)))
+    table, bounds = cut_intervals(path, first, stop, np.arctan(np.concatenate(levels)))
     slices = [slice(start, end) for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
     rows = [[slices[k] for k in np.flatnonzero(sweep_of_level == i)] for i in range(len(levels))]
     return _Tables(table, levels, rows)
@@ -417,22 +418,22 @@ def _sweep_any(
     _check_sizes(frictions, base_positions)
     friction = [np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, base_positions, strict=True)]
     followed = follow(outlines, base_positions, [np.arctan(mu) for mu in friction])
-    return [_of_states(*columns) for columns in zip(followed, base_positions, friction, strict=True)]
+    return [_of_rods(outlines, *found, mu) for found, mu in zip(followed, friction, strict=True)]
 
 
-def _of_states(found: Followed, x0: Array, friction: Array) -> Sweep:
-    rods, touches = found.rods, found.rods.count > 0
+def _of_rods(outlines: Outlines, rods: Rods, status: NDArray[np.int8], friction: Array) -> Sweep:
+    touches, place = rods.count > 0, outlines.at(rods.piece.ravel(), rods.u.ravel())
     used = np.arange(rods.s.shape[1]) < rods.count[:, None]
     records = np.recarray(rods.s.shape, dtype=CONTACT)
-    records.s1, records.force, records.force_angle = rods.s, rods.force, found.tau + rods.zeta
-    records.point, records.slope = found.point, found.tau
+    records.point, records.slope = place.point.reshape(*rods.s.shape, 2), place.tau.reshape(rods.s.shape)
+    records.s1, records.force, records.force_angle = rods.s, rods.force, records.slope + rods.zeta
     for name in CONTACT.names or ():
         records[name][~used] = np.nan
-    f0x, f0y, m0z = (np.where(touches, values, np.nan) for values in found.reactions)
+    f0x, f0y, m0z = (np.where(touches, values, np.nan) for values in reactions(outlines, rods))
     first = records[:, 0]
     phase = np.where(rods.tip[:, 0], Phase.TIP, Phase.TANGENTIAL)
     return SweepOfAnyBody(
-        x0=x0,
+        x0=rods.x0,
         f0x=f0x,
         f0y=f0y,
         m0z=m0z,
@@ -441,7 +442,7 @@ def _of_states(found: Followed, x0: Array, friction: Array) -> Sweep:
         slope=first["slope"].copy(),
         phase=np.where(touches, phase, Phase.NONE).astype(np.int8),
         friction=np.array(friction),
-        states=found.status,
+        states=status,
         records=records,
     )
 
@@ -500,15 +501,6 @@ def _clear(swept: Sweep, samples: Mask) -> None:
     swept.phase[samples] = Phase.NONE
 
 
-def _table(path: Path, first: Index, stop: Index, friction_angle: Array) -> tuple[Segments, Index]:
-    """Segments of owners that each have the pieces from `first` to `stop`, and where each owner's begin (owners + 1,)."""
-    count = stop - first
-    owner = np.repeat(np.arange(len(count)), count)
-    piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
-    table = segments.cut(path, owner, piece, friction_angle[owner])
-    return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
-
-
 def _spread(table: Segments, part: slice, fractions: Array) -> Array:
     """Base positions from touch-down (0) to the end of the sweep (1)."""
     start, end = table.x0[part.start, 0], np.nanmin(table.x0[part])
@@ -525,7 +517,7 @@ def _first_row(table: Segments, part: slice, x0: Array) -> Index:
 def _search_each(path: Path, samples: Index, interval: Index, swept: Sweep) -> Index:
     """Solve samples on separate intervals (2, n) of the path, each with its friction; returns those that are not in theirs."""
     x0 = swept.x0[samples]
-    table, bounds = _table(path, interval[0], interval[1], np.arctan(swept.friction[samples]))
+    table, bounds = cut_intervals(path, interval[0], interval[1], np.arctan(swept.friction[samples]))
     rows = np.where(table.x0[:, 1] <= x0[table.owner], np.arange(len(table.owner)), len(table.owner))
     row = np.minimum.reduceat(rows, bounds[:-1])
     inside = (row < len(table.owner)) & (table.x0[bounds[:-1], 0] >= x0)

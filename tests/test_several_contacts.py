@@ -9,6 +9,7 @@ import planar
 from planar import SweepStatus
 from planar.any_body import follow
 from planar.loops import Outlines
+from planar.several import reactions as reactions_of
 
 # x0, μ; f0x, f0y, m0z; s, f, place and slope in degrees of each contact, of two independent integrations
 REFERENCES = {
@@ -125,7 +126,7 @@ def test_convex_contours_agree_with_their_tables():
     for table, followed in zip(tables, follow(outlines, [table.x0[1:-1] for table in tables], angles), strict=True):
         assert (followed.status == SweepStatus.ONE_CONTACT).all()
         truth = np.stack([table.f0x, table.f0y, table.m0z])[:, 1:-1]
-        assert np.abs(np.stack(followed.reactions) - truth).max() < 1e-9
+        assert np.abs(np.stack(reactions_of(outlines, followed.rods)) - truth).max() < 1e-9
         np.testing.assert_allclose(followed.rods.s[:, 0], table.s1[1:-1], atol=1e-9)
 
 
