@@ -29,7 +29,6 @@ def slice_of(polygon, height, edges=None):
         normals=np.repeat(normals, 2, axis=0),
         tip=np.empty(0, dtype=np.intp),
         tip_normals=np.empty((0, 2)),
-        outline=polygon if edges is None else np.empty((0, 2)),
         angle=angle,
         value=(corner[:, 0] * normals).sum(axis=1),
         slope=np.stack([(corner[:, end] * tangents).sum(axis=1) for end in (0, 1)]),

@@ -31,7 +31,6 @@ def stack_of(heights, support):
                 normals=normals,
                 tip=rows[:0],
                 tip_normals=normals[:0],
-                outline=points,
                 angle=angle,
                 value=h,
                 slope=np.stack([slope, slope]),

@@ -104,7 +104,7 @@ def _slice_of_groups(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
         angle = np.unique(np.concatenate([group.angle for group in found]))
         # the lines of a corner may hold at different heights, which `margin` remains for
         value = (_directions(angle) @ np.concatenate(known).T).max(axis=1)
-    return replace(found[0], points=inner[0], outline=inner[0], angle=angle, value=value, normals=_directions(angle))
+    return replace(found[0], points=inner[0], angle=angle, value=value, normals=_directions(angle))
 
 
 def _of_group(slice_: Slice, chosen: Mask) -> Slice:
@@ -157,7 +157,6 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
     return replace(
         slice_,
         points=inner,
-        outline=inner,
         angle=angle,
         value=value - stack.height_error,
         normals=np.stack([np.cos(angle), np.sin(angle)], axis=1),

@@ -11,12 +11,12 @@ This module knows no simulation: a simulated scan and a real rig both ask it for
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from scan3d.arrays import Array, Index, Mask, ratio
+from scan3d.arrays import Array, Index, Mask, evenly, ratio
 from scan3d.bounds.cells import Gap, Slab, SlabKey, slab_keys, slabs
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cloud import Cloud
@@ -50,6 +50,8 @@ _ROUND_OF_BENT, _ROUND, _MANY = (0.3, 1 / 2), (0.12, 1 / 3), 128
 _TIED_DECIMALS = 4
 # Largest difference of the components of two unit normals, of the cloud and as given by the caller, that are the same axis.
 _GIVEN_AXIS = 1e-6
+# Slices on either side of a slab in the hull from which its gaps are measured.
+_BESIDE = 2
 # Halvings of the interval in which the least gap lies, and steps towards gaps with even neighbours: to rounding.
 _BISECTIONS, _EVENINGS = 60, 20
 
@@ -73,10 +75,6 @@ def first_heights(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
-Distances = Callable[[Array], Array]
-"""From points (w, 3) to their distances (w,) from the hull of the contacts."""
-
-
 @dataclass
 class SlabMemory:
     """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
@@ -86,13 +84,17 @@ class SlabMemory:
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
     present ones, because the hull only grows; (1,) infinite where the slab is unbounded."""
 
-    def measured(self, stack: SliceStack, distances: Distances) -> tuple[list[Slab], Array]:
-        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances."""
+    def measured(self, stack: SliceStack, others: Sequence[Array]) -> tuple[list[Slab], Array]:
+        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, from the hull of the slices around them, of a
+        few of the others, and of the contours (v, 3) of slices along other axes."""
         parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
-        for key, slab in zip(keys, parts, strict=True):
-            if key not in self.gaps:
-                bounded = np.isfinite(slab.corners).all()
-                self.gaps[key] = distances(slab.corners) if bounded else np.full(1, np.inf)
+        new = np.flatnonzero([key not in self.gaps for key in keys])
+        beside = (new[:, None] + np.arange(-_BESIDE, _BESIDE)).clip(0, len(stack.slices) - 1)
+        chosen = np.union1d(beside, evenly(np.arange(len(stack.slices)), FIRST_SLICES))
+        distances = distance_from_hull(np.concatenate([*others, *(stack.contour(i) for i in chosen)]))
+        for i in new:
+            bounded = np.isfinite(parts[i].corners).all()
+            self.gaps[keys[i]] = distances(parts[i].corners) if bounded else np.full(1, np.inf)
         self.slabs, self.gaps = {key: self.slabs[key] for key in keys}, {key: self.gaps[key] for key in keys}
         return parts, np.concatenate([self.gaps[key] for key in keys])
 
@@ -134,8 +136,8 @@ def next_heights(
     left = plan.slices + BEYOND - done if left is None else left
     if left <= 0:
         return np.empty(0)
-    contours = np.concatenate([other.contour(i) for other in candidates for i in range(len(other.slices))])
-    parts, gap = memory.measured(stack, distance_from_hull(contours))
+    others = [other.contour(i) for other in candidates if other is not stack for i in range(len(other.slices))]
+    parts, gap = memory.measured(stack, others)
     kind, corners, straight = (
         np.concatenate([getattr(slab, name) for slab in parts]) for name in ("kind", "corners", "straight")
     )

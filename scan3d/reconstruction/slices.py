@@ -171,8 +171,6 @@ class Slice:
     """(l,) positions in `rows` of the tip contacts whose normals are inferred from a common friction."""
     tip_normals: Array
     """(l, 2) their in-plane normals."""
-    outline: Array
-    """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
     angle: Array
     """(a,) distinct angles of the normals, increasing."""
     value: Array
@@ -192,6 +190,12 @@ class Slice:
     def support_of_contacts(self, normals: Array) -> Array:
         """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
         return (normals @ self.corners.T).max(axis=1)
+
+    @cached_property
+    def outline(self) -> Array:
+        """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
+        hull = hull_about_mean(self.points)
+        return np.empty((0, 2)) if hull is None else np.asarray(self.points[hull.vertices])
 
     @property
     def corners(self) -> Array:
@@ -368,7 +372,7 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
     left = ends[np.searchsorted(member[ends], np.arange(count))]
     right = ends[np.searchsorted(member[ends], np.arange(count), side="right") - 1]
     slope = np.stack([along[left], along[right]])
-    corner, hull = np.stack([contact[left], contact[right]], axis=1), hull_about_mean(points)
+    corner = np.stack([contact[left], contact[right]], axis=1)
     return Slice(
         height=float(cloud.slice_height[number]),
         rows=rows,
@@ -377,7 +381,6 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
         normals=normals,
         tip=tip,
         tip_normals=tip_normals,
-        outline=np.empty((0, 2)) if hull is None else np.asarray(points[hull.vertices]),
         angle=angle,
         value=value,
         slope=slope,
