@@ -21,6 +21,8 @@ ROUNDING = 1e-12
 """Rounding of sums of products, relative to them: a few thousand units in the last place."""
 NEGLIGIBLE = 1e-9
 """Part of a body's size that counts as nothing: far above the rounding of hulls, and far below what touch can tell."""
+LARGEST = 1e60
+"""Numbers beyond it have products that are none of a computer."""
 SOME = 20_000
 """Rows, evenly spread over all, that statistics and fits take at most: their errors fall with the root of the number."""
 AT_ONCE = 4_000_000

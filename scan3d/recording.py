@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import planar
 from scan3d import numbers
-from scan3d.arrays import Array, Index, Mask, evenly
+from scan3d.arrays import LARGEST, Array, Index, Mask, evenly
 from scan3d.channels import FORCE, Known
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_columns, check_orientations, check_positions
@@ -44,8 +44,6 @@ _FINE = 1e-4
 # Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
 # is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
 _DITHER = 3**0.5
-# Reactions in SI units beyond which their squares are no numbers of a computer.
-_LARGEST = 1e60
 FORCE_SIGMAS = 8.0
 """A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
 nearly none does."""
@@ -164,9 +162,9 @@ class Recording(Shown):
         if not all(numbers.is_finite(noise) and noise >= 0 for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
         for name in columns[3:]:
-            if (largest := float(np.abs(getattr(self, name)).max())) > _LARGEST:
+            if (largest := float(np.abs(getattr(self, name)).max())) > LARGEST:
                 raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
-        if max(noises) > _LARGEST:
+        if max(noises) > LARGEST:
             raise InputError(
                 f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N, N m or m"
             )

@@ -392,3 +392,9 @@ def test_sweeps_without_contact_are_recorded():
         assert side.sum() == 4 * 10
     # the first sample of a sweep only touches
     assert (np.any(recording.force_N != 0, axis=1)[~beyond].reshape(-1, 10)[:, 1:]).all()
+
+
+@pytest.mark.parametrize("few", [{"samples": 2}, {"samples": 20, "noise": 1e-300}])
+def test_the_fewest_samples_and_the_least_noise_give_a_result(few):
+    """No slice is enclosed by its known normals, and variances are 0."""
+    assert scan3d.scan(CUBE, slices=4, **few).surface.is_watertight

@@ -15,7 +15,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from trimesh.exchange.load import mesh_loaders
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import LARGEST, Array, Index
 from scan3d.errors import InputError
 from scan3d.files.gltf import read_glb
 from scan3d.files.reading import check_file
@@ -309,8 +309,10 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
         ) from error
     if any(len(vertices) and vertices.shape[1] != 3 for vertices, _ in meshes):
         raise InputError(f"{path.name} has vertices without three coordinates; export the mesh again")
-    if not all(np.isfinite(vertices).all() for vertices, _ in meshes):
-        raise InputError(f"{path.name} has vertices that are NaN or infinite; repair or export it again")
+    if not all((np.abs(vertices) < LARGEST).all() for vertices, _ in meshes):
+        raise InputError(
+            f"{path.name} has vertices that are NaN, infinite or beyond {LARGEST:g}; repair or export it again"
+        )
     held, declared = sum(len(faces) for _, faces in meshes), _declared_faces(kind, data)
     if held < declared:
         raise InputError(

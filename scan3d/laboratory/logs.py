@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import LARGEST, Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean
 from scan3d.files.text_tables import Table
@@ -52,7 +52,7 @@ def read_log(table: Table, map: Map) -> Log:
     time = None if columns.time is None else _time(table, map, columns.time)
     if map.wrench_delay_s:
         wrench = _undelayed(wrench, time, map, table)
-    kept = np.isfinite(np.concatenate([position, orientation, wrench], axis=1)).all(axis=1)
+    kept = (np.abs(np.concatenate([position, orientation, wrench], axis=1)) < LARGEST).all(axis=1)
     kept &= True if time is None else np.isfinite(time)
     if not kept.any():
         raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")

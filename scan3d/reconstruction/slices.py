@@ -289,15 +289,15 @@ class SliceStack:
         closed, functions = self._closed
         low, high = np.searchsorted(closed, (first, last))
         found = np.full((last - first, len(angle)), np.nan)
-        if low < high:
+        if functions is not None and low < high:
             found[closed[low:high] - first] = functions.at(angle, int(low), int(high))
         return found
 
     @cached_property
-    def _closed(self) -> tuple[Index, SupportFunctions]:
-        """The numbers of the slices that the known normals enclose, and their support functions."""
+    def _closed(self) -> tuple[Index, SupportFunctions | None]:
+        """The numbers of the slices that the known normals enclose, and their support functions if there are any."""
         closed = np.flatnonzero([slice_.closed for slice_ in self.slices])
-        return closed, SupportFunctions([self.slices[i] for i in closed])
+        return closed, SupportFunctions([self.slices[i] for i in closed]) if len(closed) else None
 
 
 def stacks(cloud: Cloud) -> list[SliceStack]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtri
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.cloud import Cloud, LeftOut
 from scan3d.reconstruction.agreement import FALSE_ALARM, LARGEST_SHARE, Compared, compared_in_slices
 from scan3d.reconstruction.errors import RIGHT_ROWS, felt, noise_in_air
@@ -152,7 +152,7 @@ def _over_groups(beyond: Array, common: Array, own: Array, groups: Index, limit:
     columns than it has rows is wrong itself.
     """
     variance = common[groups].mean(axis=1) + _MEDIAN / groups.shape[1] * own[groups].mean(axis=1)
-    found = np.median(beyond[groups], axis=1) / np.sqrt(variance)
+    found = ratio(np.median(beyond[groups], axis=1), np.sqrt(variance))
     wrong = (found > limit).sum(axis=1) > groups.shape[1]
     return np.asarray(found[~wrong].max(axis=0, initial=-np.inf)), groups[wrong].ravel()
 

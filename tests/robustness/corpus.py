@@ -61,7 +61,7 @@ def _meshes(folder, box):
     files = {
         "cut.stl": (stl[:-120], "cut off, damaged"),
         "count.stl": (stl[:80] + struct.pack("<I", 4_000_000_000) + stl[84:], "cut off, damaged"),
-        "cut_text.stl": (box.export(file_type="stl_ascii").encode()[:-300], "cut off, damaged, or not a STL file"),
+        "cut_text.stl": (box.export(file_type="stl_ascii").encode()[:-300], "cut off, damaged or another kind of file"),
         "cut.off": ("\n".join(text.split("\n")[:-4]).encode(), "declares 12 faces and holds"),
         "cut.ply": ((folder / "box.ply").read_bytes()[:-60], "cut off, damaged"),
         "cut.glb": (glb[:-40], "cut off, damaged"),
@@ -69,7 +69,7 @@ def _meshes(folder, box):
         "digits.ply": (header + b"element face " + b"9" * 5000 + b"\n" + lists + b"\0" * 200, "PLY"),
         "accessor.glb": (_glb_with_count(glb, 100_000_000), "cut off, damaged"),
         "nan.off": (text.replace("-10.00000000", "nan", 1).encode(), "OFF"),
-        "huge.off": (text.replace("-10.00000000", HUGE, 1).encode(), "NaN or infinite"),
+        "huge.off": (text.replace("-10.00000000", HUGE, 1).encode(), "NaN, infinite or beyond"),
         "index.off": (text.replace("3 ", "3 99 ", 1).encode(), "OFF"),
         "null.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "OBJ"),
         "escape\x1b[31m.stl": (b"solid x", "escape\\x1b[31m.stl"),
@@ -100,9 +100,8 @@ def _meshes(folder, box):
         lines = text.split("\n")
         corners = [" ".join(f"{word}e{power}" for word in line.split()) for line in lines[2:10]]
         (folder / f"scaled{power}.off").write_text("\n".join([*lines[:2], *corners, *lines[10:]]))
-        cases.append(
-            Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 1, "no numbers of a computer")
-        )
+        why = "beyond 1e+60" if power > 0 else "no numbers of a computer"
+        cases.append(Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 1, why))
         cases.append(Case(f"scan 1e{power}", ("scan", f"scaled{power}.off", "--out", "o"), 1))
     return cases
 
@@ -243,7 +242,7 @@ def _options():
     )
     cases.append(Case("an escape", ("scan", "a\x1b[2Jb.stl", "--out", "o"), 1, "a\\x1b[2Jb.stl"))
     cases.append(Case("an option with an escape", ("scan", "box.stl", "--out", "o", "--a\x1b[2Jb"), 2, "--a\\x1b[2Jb"))
-    cases.append(Case("a null character", ("scan", "a\0b.stl", "--out", "o"), 1, "null character"))
+    cases.append(Case("a null character", ("scan", "a\0b.stl", "--out", "o"), 1, "a\\x00b.stl"))
     return cases
 
 
