@@ -252,7 +252,7 @@ def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, est
         problem.free[MIXING:TARE] = noise.mixing > 0
         chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
         # a rod whose shape is sought takes long, and a shape that is one is soon found from the first rig
-        fit = fitted(chosen, rig, noise, _BEGUN) if problem.free[SHAPE] else fitted(chosen, rig, noise)
+        fit = fitted(chosen, rig, noise, *[_BEGUN] * bool(problem.free[SHAPE] and not seen))
         if problem.free[SHAPE] and not fit.at_rest:
             break
         rig, length = fit.rig, fit.rig.length if chosen.free[LENGTH] else None
@@ -321,6 +321,8 @@ def _with_kinds(
     best = int(np.argmin([np.minimum(*cost)[known].sum() for cost in costs]))
     likelier = np.where(known, costs[best][0] - costs[best][1], 0.0)
     kind = _by_neighbours(likelier, problem.touches.sweep)
+    # few rows that contradict their neighbours, as where contacts jump, would spoil a fit
+    kind[np.where(kind == Kind.TIP, -likelier, likelier) > CHANCE**2] = Kind.UNSURE
     tips = kind == Kind.TIP
     if tips.sum() < _FEWEST_TIPS:
         kind[tips] = Kind.UNSURE
@@ -450,20 +452,21 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     rigs += [replace(nominal, reference=rig.reference) for rig in rigs[:1]]
     if not rigs:
         return nominal
-    begun = [fitted(_far_from_tip(coarse, rig), rig, noise, _BEGUN) for rig in rigs]
+    # what no shape is sought for yet makes wrong rigs as likely as the right one, unless all may be off by it
+    rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
+    begun = [fitted(_far_from_tip(coarse, rig), rig, rough, _BEGUN) for rig in rigs]
     begun.sort(key=lambda fit: fit.cost)
     best = begun[0].rig
     if problem.free[SHAPE]:
         free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
         coarse = replace(problem.rows(evenly(heavy, _SEARCHED)), free=free)
-        return _with_shape(coarse, [fit.rig for fit in begun], noise)
+        return _with_shape(coarse, [fit.rig for fit in begun], noise, rough)
     return fitted(_far_from_tip(coarse, best), best, noise).rig
 
 
-def _with_shape(problem: Problem, rigs: list[Rig], noise: Noise) -> Rig:
+def _with_shape(problem: Problem, rigs: list[Rig], noise: Noise, rough: Noise) -> Rig:
     """The first of rigs with straight rods, the best ones first, from which a fit leads to a shape that noise explains, or
     the one with the best fit."""
-    rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
     found: list[Fit] = []
     for rig in rigs[:_SHAPES]:
         rig = replace(rig, marched=True)

@@ -68,7 +68,7 @@ _ADJUSTMENTS, _TRIALS = 3, 50
 # a rod would fit best otherwise.
 _NO_ROD = 100.0
 # Length of the step, in standard deviations, that is left to the least sum of squares where a fit is at rest.
-_SMALL = 0.03
+_SMALL = 0.1
 # Standard deviations of a sum of squares that count as chance.
 CHANCE = 4.5
 # The largest noise that is estimated: of the poses in rod lengths, and of the wrench relative to it.
