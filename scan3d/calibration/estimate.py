@@ -247,7 +247,7 @@ def six_channels(recording: Recording) -> tuple[Mask, Array]:
 
 def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, estimate: bool) -> Fit:
     """The fit of rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
-    seen = set()
+    seen: set[tuple[bytes, bytes]] = set()
     for _ in range(_ROUNDS):
         problem.free[MIXING:TARE] = noise.mixing > 0
         chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
@@ -321,7 +321,7 @@ def _with_kinds(
     best = int(np.argmin([np.minimum(*cost)[known].sum() for cost in costs]))
     likelier = np.where(known, costs[best][0] - costs[best][1], 0.0)
     kind = _by_neighbours(likelier, problem.touches.sweep)
-    # few rows that contradict their neighbours, as where contacts jump, would spoil a fit
+    # a few rows that contradict their neighbours, such as those after a jump, would spoil the fit of all
     kind[np.where(kind == Kind.TIP, -likelier, likelier) > CHANCE**2] = Kind.UNSURE
     tips = kind == Kind.TIP
     if tips.sum() < _FEWEST_TIPS:
@@ -452,7 +452,7 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     rigs += [replace(nominal, reference=rig.reference) for rig in rigs[:1]]
     if not rigs:
         return nominal
-    # what no shape is sought for yet makes wrong rigs as likely as the right one, unless all may be off by it
+    # a rod that is not straight leads exact fits astray, unless contacts and wrenches may be off by its shape
     rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
     begun = [fitted(_far_from_tip(coarse, rig), rig, rough, _BEGUN) for rig in rigs]
     begun.sort(key=lambda fit: fit.cost)

@@ -13,7 +13,6 @@ the first one, and the residuals ``e·t`` and ``e·F`` remain.  Friction does no
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -27,6 +26,7 @@ from numpy.typing import ArrayLike
 from planar.march import STEPS, along, crossings, enough_steps, grid, tableau
 from planar.rods import Profile
 from scan3d.arrays import Array, Index
+from scan3d.spatial.bodies import cross, sphere_directions
 
 _BLOCK = 512
 # Arc length up to which a contact past the tip is sought.
@@ -134,12 +134,8 @@ def _start(rod: SpatialRod, contact_force: Array, moment: Array, down: Array) ->
 def _rotated(quaternion: Array, vector: Array) -> Array:
     """Vectors (3, n) turned by quaternions (4, n) of any length close to 1."""
     w, axis = quaternion[:1], quaternion[1:]
-    twice = 2 * _cross(axis, vector)
-    return np.asarray(vector + (w * twice + _cross(axis, twice)) / (quaternion * quaternion).sum(axis=0))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    twice = 2 * cross(axis, vector)
+    return np.asarray(vector + (w * twice + cross(axis, twice)) / (quaternion * quaternion).sum(axis=0))
 
 
 def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
@@ -172,7 +168,7 @@ def _curvature(rod: SpatialRod, s: Array, state: Array) -> Array:
 def _turning_rates(rod: SpatialRod, s: Array, state: Array, hanging: Array) -> tuple[Array, Array]:
     """``(t × F)²`` and ``e·(t' × F)``: `_turning` falls by the first less the second, for ``e' = -t × F``."""
     bend, force, excess = _curvature(rod, s, state), state[_N], state[_M] - hanging
-    by_force, by_excess = _cross(bend, force), _cross(bend, excess)
+    by_force, by_excess = cross(bend, force), cross(bend, excess)
     bending = (by_excess[0] * force[1] - by_excess[1] * force[0]) + (excess[0] * by_force[1] - excess[1] * by_force[0])
     return force[0] ** 2 + force[1] ** 2, np.asarray(bending)
 
@@ -217,10 +213,7 @@ def _overhang(rod: SpatialRod) -> Overhang:
         return lambda s, state: np.zeros((3, state.shape[1]))
     for degree in _DEGREES:
         tips = np.zeros((16, 2 * (degree + 1) ** 2))
-        count = np.arange(0.5, tips.shape[1])  # evenly on the sphere, along a spiral of the golden ratio
-        height, turn = 1 - 2 * count / tips.shape[1], np.pi * (1 + math.sqrt(5)) * count
-        tips[_G] = [*np.sqrt(1 - height * height) * [np.cos(turn), np.sin(turn)], height]
-        tips[_Q.start] = 1.0
+        tips[_G], tips[_Q.start] = sphere_directions(tips.shape[1]), 1.0
         clamp = tips
         for end, at in pairwise(grid(rod.profile, STEPS)[::-1].tolist()):
             clamp = _step(rod, clamp, end, at - end)
