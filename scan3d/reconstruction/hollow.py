@@ -51,8 +51,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
         refused |= rows.alone()
     passed = rows.passed(refused)
     wrong = refused | passed
-    if cloud.covariance is not None:
-        wrong |= rows.beside(wrong)
+    while cloud.covariance is not None and (beside := rows.beside(wrong)).any():
+        wrong |= beside
     kept = (rows.touching & ~wrong)[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
     if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
