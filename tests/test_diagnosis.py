@@ -262,7 +262,7 @@ def test_what_no_single_fault_explains_is_said_to_be_so():
 
 
 RODS = {
-    "taper": dict(tip_diameter_m=0.9),
+    "taper": dict(tip_diameter_m=0.6),
     "a little taper": dict(tip_diameter_m=0.98),
     "curvature": dict(curvature_per_m=-0.3),
     "set": dict(curvature_per_m=0.02),

@@ -65,7 +65,7 @@ _TURNS = np.concatenate([np.radians(angle) * (2 * np.array(list(np.ndindex(2, 2,
 _DISTANCES = np.geomspace(0.03, 0.5, 4)
 # Of rods: the logarithm of tip over clamp diameter, curvature in 1/L, and logarithms of weight in EI/L² and of compliance in
 # radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
-_TIPS, _CURVATURES = np.log([[0.5], [0.95]]), np.array([0.02, 0.3])
+_TIPS, _CURVATURES = np.log([[0.5], [0.7], [0.95]]), np.array([0.02, 0.3])
 _TENTH, _SMALL, _LEAST_WEIGHT = 0.1, np.log([[0.1], [1.0]]), 1e-4
 _LARGEST_LOG, _WAYS, _DOWN = 9.0, np.array([0.003, 0.03]), np.array([0.0, 0.0, -1.0])
 _ABOUT_ROD, _ALONG_ROD = np.radians(np.arange(-180, 180, 30)), np.linspace(-0.5, 0.5, 5)
