@@ -259,15 +259,10 @@ def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, est
         noise = estimates(fit, estimate)
         # few rows may alternate between two states
         state = chosen.touches.number.tobytes(), chosen.touches.kind.tobytes()
-        if state in seen and _near(noise, fit.noise):
+        if state in seen and np.allclose(noise, fit.noise, rtol=_SAME_NOISE, atol=NEGLIGIBLE):
             break
         seen.add(state)
     return fit
-
-
-def _near(noise: Noise, other: Noise) -> bool:
-    """Whether two estimates of the noise are alike."""
-    return bool(np.allclose(noise, other, rtol=_SAME_NOISE, atol=NEGLIGIBLE))
 
 
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:

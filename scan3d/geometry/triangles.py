@@ -107,9 +107,9 @@ def _offsets(points: Array, corners: Array) -> Array:
     distance = np.linalg.norm(shortest, axis=-1)
     distance[(u < 0) | (v < 0) | (u + v > 1)] = np.inf
     for offset in (to_edge(r, e), to_edge(r, f), to_edge(points - b, c - b)):
-        nearer = np.linalg.norm(offset, axis=-1) < distance
-        shortest[nearer] = offset[nearer]
-        distance[nearer] = np.linalg.norm(offset[nearer], axis=-1)
+        away = np.linalg.norm(offset, axis=-1)
+        nearer = away < distance
+        shortest[nearer], distance[nearer] = offset[nearer], away[nearer]
     return shortest
 
 
