@@ -117,6 +117,9 @@ def spacing_of(cloud: Cloud) -> float:
     next_one = (np.diff(cloud.sweep) == 0) & (np.diff(cloud.row) == 1)
     step = np.linalg.norm(np.diff(cloud.points, axis=0), axis=1)[next_one]
     step = step[step > 1e-6 * cloud.rod_length]
+    if cloud.place_sd is not None:  # what noise moves a contact by at a corner is no step
+        noise = 3 * float(np.median(cloud.place_sd))
+        step = step[step > noise] if (step > noise).any() else step
     if not len(step):
         raise InputError(
             "the recording has no sweep with two contacts one after the other; take more samples in a sweep"
