@@ -357,6 +357,14 @@ def test_vertices_that_are_not_finite_are_refused(tmp_path, kind, value):
     assert "NaN, infinite or beyond 1e+60" in error(path)
 
 
+def test_faces_that_enclose_no_volume_are_refused(tmp_path):
+    """A box of which a corner is written twice, so that its faces have others as corners."""
+    corners = np.array([[x, y, z] for x in (-10, 10) for y in (-15, 15) for z in (-20, 20)])[[0, 1, 1, *range(2, 8)]]
+    faces = "241 521 143 351 284 625 682 483 753 387 765 867"
+    path = save(tmp_path, as_mesh(corners, [[int(k) - 1 for k in face] for face in faces.split()]))
+    assert "can't be turned outwards together" in error(path)
+
+
 @pytest.mark.parametrize("turn", [np.eye(3), rotation(5)])
 def test_a_flat_body_is_refused_with_its_thickness(tmp_path, turn):
     sheet = as_mesh(np.array([[0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]]) @ turn.T, [[0, 1, 2], [0, 2, 3]])

@@ -15,7 +15,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from trimesh.exchange.load import mesh_loaders
 
-from scan3d.arrays import LARGEST, Array, Index
+from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
 from scan3d.files.gltf import read_glb
 from scan3d.files.reading import check_file
@@ -218,9 +218,13 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
         kept = convexity.turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
         if len(kept) and convexity.runs_both_ways(kept):
-            if body.volume < 0:
-                body.invert()
-            return body
+            # trimesh divides by a volume of 0 for the centre of mass
+            with np.errstate(divide="ignore", invalid="ignore"):
+                volume = float(body.volume)
+            if abs(volume) > NEGLIGIBLE * float(np.prod(body.extents)):
+                if volume < 0:
+                    body.invert()
+                return body
     edges, count = np.unique(np.sort(body.edges, axis=1), axis=0, return_counts=True)
     alone = edges[count % 2 == 1]
     if not len(alone):

@@ -28,6 +28,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import (
+    SMALLEST_CLEARANCE,
     BaseLine,
     Plan,
     across,
@@ -197,8 +198,10 @@ class RigPlan:
         for name, minimum in (("slices", 1), ("samples", 2), ("sweeps", 1)):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), minimum)
-        if not (0 < self.clearance <= FARTHEST):
-            raise InputError(f"clearance must be above 0 and at most {FARTHEST} rod lengths, got {self.clearance}")
+        if not (SMALLEST_CLEARANCE <= self.clearance <= FARTHEST):
+            raise InputError(
+                f"clearance must lie between {SMALLEST_CLEARANCE:g} and {FARTHEST} rod lengths, got {self.clearance}"
+            )
         for name in ("speed", "max_force_N"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
