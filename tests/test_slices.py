@@ -87,8 +87,9 @@ def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_ve
     exact = (NORMALS @ polygon.T).max(axis=1)
     complete = 0
     for section in one_stack(mesh, slices=4, samples=samples).slices:
-        support = SupportFunctions((section,)).at(ANGLES)[0]
-        assert section.support(section.angle) == pytest.approx(section.value, abs=1e-9)
+        functions = SupportFunctions((section,))
+        support = functions.at(ANGLES)[0]
+        assert functions.at(section.angle)[0] == pytest.approx(section.value, abs=1e-9)
         assert (support >= (NORMALS @ section.points[section.tangential].T).max(axis=1) - 1e-9).all()
         edges = np.roll(polygon, -1, axis=0) - polygon
         off = np.arctan2(-edges[:, 0], edges[:, 1])[:, None] - section.angle
