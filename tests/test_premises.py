@@ -75,6 +75,12 @@ def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
     assert 1e-5 < relative_error(recorded(noise, **WRONG[wrong])) <= LARGEST
 
 
+def test_a_force_so_large_that_no_error_of_the_wrench_changes_a_contact_is_a_contradiction(undiagnosed):
+    box = trimesh.creation.box((20, 30, 40))
+    recording = scaled(1e12, 1, 1)(scan3d.simulate(box, scan3d.Plan(slices=4, samples=20)))
+    assert checked(recording, scan3d.reconstruct(recording)).contradictions
+
+
 @pytest.mark.slow
 def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     recording = recorded(1e-4, rod=tapered(0.1))

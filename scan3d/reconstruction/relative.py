@@ -239,4 +239,6 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
         hidden = max(hidden, float(((compared.misfit.found - compared.systematic) / sum_of).max()))
         by_all += float((means.square - 1).sum())
         expected += float(means.over_noise(np.sqrt(compared.variance(error))).sum())
-    return LARGEST * max(float(np.sqrt(max(by_all, 0.0) / expected)), worst), LARGEST * hidden
+    # an error that changes no mean explains none
+    by_means = np.sqrt(max(by_all, 0.0) / expected) if expected else np.inf
+    return LARGEST * max(float(by_means), worst), LARGEST * hidden
