@@ -118,3 +118,12 @@ def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
         assert part.kind.tolist() == [kind]
         assert not part.straight.any()
         assert part.volume == np.inf
+
+
+def test_a_slice_with_one_contact_bounds_nothing_above_it():
+    cloud = scan3d.reconstruct(scan3d.simulate(trimesh.creation.box((20, 16, 12)), scan3d.Plan(slices=4, samples=8)))
+    top = cloud.slice == cloud.slice_height.argsort()[-2]
+    few = cloud.select(~top | (np.arange(len(cloud)) == np.flatnonzero(top)[0]))
+    (stack,) = stacks(few)
+    assert len(stack.slices[-1].points) == 1
+    assert not np.isfinite(slabs(stack)[-1].corners).all()

@@ -336,7 +336,7 @@ class _Arrangement:
         places = np.concatenate([self._contour(k, j) for k, _, j, is_next in self._around(number) if is_next])
         heights = places @ self.axes.T
         inside = places[((heights >= low) & (heights <= high)).all(axis=1)]
-        width = float(np.ptp(places, axis=0).max())
+        width = float(np.ptp(places, axis=0).max()) or 1.0  # of slices with one contact
         # of contacts in the cell, or next to it, the mean lies in the body
         start = (inside if len(inside) else places).mean(axis=0)
         middle, size = self._frame @ start, np.full(3, width)
