@@ -235,3 +235,9 @@ def test_the_command_writes_poses_without_a_mesh(tmp_path, capsys):
     # its own files are replaced
     assert main(["plan", "--around", "sphere:50", "--out", str(out), "--slices", "3", "--quiet"]) == 0
     assert read_poses(out).source["around"] == "sphere:50"
+
+
+@pytest.mark.parametrize("clearance", [0.0, 1e-300, 0.9])
+def test_a_clearance_that_rounding_would_lose_or_that_is_too_far_is_refused(clearance):
+    with pytest.raises(InputError, match=r"clearance must lie between 1e-06 and 0\.8 rod lengths"):
+        RigPlan(parse_envelope("cylinder:80x90"), clearance=clearance)
