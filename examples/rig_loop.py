@@ -25,7 +25,7 @@ from paper_figure_3 import STYLE
 
 import scan3d
 from scan3d.cli import main as command
-from scan3d.files.poses import write_poses
+from scan3d.files.recordings import write_poses
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import PoseList
 from scan3d.simulation.rig import simulate_rig, standing

@@ -23,10 +23,9 @@ in a clamp that gives.
 """
 
 from planar.any_body import SweepStatus
-from planar.channels import Completed, complete
+from planar.channels import Completed, complete, complete_by_moment, touched_at
 from planar.contours import Circle, Contour, Contours, Curve, Ellipse, Polygon
 from planar.crossings import passed
-from planar.following import complete_by_moment, touched_at
 from planar.hidden import (
     Recovered,
     constant_friction_angle,
@@ -37,8 +36,7 @@ from planar.hidden import (
     refuse_second_contacts,
     second_contacts,
 )
-from planar.landmarks import EventKind, Events, events
-from planar.lines import ElasticLines, elastic_lines
+from planar.landmarks import ElasticLines, EventKind, Events, elastic_lines, events
 from planar.march import free_reactions
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.rods import Rod

@@ -1,9 +1,11 @@
-"""Types of the arrays that pass between the modules."""
+"""Types of the arrays that pass between the modules, and the observables of a sweep as columns."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 """Lengths, forces, moments and angles."""
@@ -21,3 +23,38 @@ def ratio(over: Array | float, under: Array) -> Array:
     """`over / under`, infinite or NaN without a warning where `under` is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return over / under
+
+
+class Reactions(NamedTuple):
+    """Base positions and support reactions (n,), dimensionless."""
+
+    x0: Array
+    f0x: Array
+    f0y: Array
+    m0z: Array
+
+
+NAMES = ("f0x", "f0y", "m0z")
+"""Of the reactions."""
+
+
+def checked_reactions(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike) -> Reactions:
+    """Columns (n,) of floats; single numbers become columns of length 1.  Raises ValueError if their shapes differ.
+
+    Masked values, which would count as measured, and numbers that are not real are a ValueError as well.
+    """
+    columns = [np.atleast_1d(_real(column)) for column in (x0, f0x, f0y, m0z)]
+    if any(column.shape != columns[0].shape or column.ndim != 1 for column in columns):
+        raise ValueError(
+            f"x0, f0x, f0y and m0z must have one shape (n,), got {', '.join(str(column.shape) for column in columns)}"
+        )
+    return Reactions(*columns)
+
+
+def _real(column: ArrayLike) -> Array:
+    if np.ma.isMaskedArray(column):
+        raise ValueError("x0, f0x, f0y and m0z must be plain arrays, got a masked one; leave the masked rows out")
+    array = np.asarray(column)
+    if array.dtype.kind not in "iufb":
+        raise ValueError(f"x0, f0x, f0y and m0z must hold real numbers, got {array.dtype.name}")
+    return array.astype(float, copy=False)

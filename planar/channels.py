@@ -4,6 +4,17 @@ Three reactions determine three unknowns, force, direction and place.  Each chan
 ``β = ζ`` in tangential contact with known friction, ``s1 = 1`` at the tip, ``α - β = α̃`` where the contour's slope is known.
 Its root is sought over all values of the missing channel.  With known friction every row is either tangential, with
 ``s1 <= 1``, or at the tip, with ``β <= ζ``; where both or several roots exist, the channels do not determine the contact.
+
+By the moment alone contacts are located along sweeps: tangential contacts with known friction move along the surface.  Such a
+contact has ``β = ζ``, and between two samples it moves across the mean of their normals: two equations for the two
+forces of each sample.  The second has an error of a sixth of the step's square times the change of the curvature, of the third
+order on a smooth body, and of no more than the step times its turn at a corner.  Both hold in a plane, and in space for a
+straight rod, which bends in the plane across its moment, if the contact is frictionless, so that the force has the direction
+of the normal.  The forces are those in the plane in which the rod bends, and `Frames` is where that lies.
+
+The first contact must be known.  A small push tells it: shortly after touch-down the moment rises by ``dm0z/dx0 = 3/s1²`` on a
+uniform rod.  An error of it dies out as one over the moment.  At the tip the same equations do not determine the forces: the
+direction of a small force does not change the shape of the rod to the first order.
 """
 
 from __future__ import annotations
@@ -14,12 +25,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import BLOCK, Array, Index
+from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, checked_reactions
 from planar.inverses import solve
-from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
+from planar.uncertainty import jacobian
 
-NAMES = ("f0x", "f0y", "m0z")
 # Values of the missing channel between which a root is sought, denser near zero, in EI/L² or EI/L; the largest of them bends a
 # rod by more than a right angle, however it is held.
 _TRIED = np.sinh(np.linspace(0.05, 7.0, 71)) / 10
@@ -179,3 +189,276 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
             np.abs(result.f_x) < _ROOT, result.x, np.nan
         )
     return roots
+
+
+# Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
+_FOLLOWED, _STEPS = 1e-11, 20
+# Places along a rod between which that of a touch is interpolated, to 1e-9 rod lengths.
+_PLACES = 8193
+# The push at the begin of a sweep ends where the moment is this many times that of its first row.
+_PUSH = 3.0
+# Slope of the rod at the contact, in radians, up to which a row is one of the begin: from there on pushes tell wrong places.
+_BENT = 0.2
+# Arc length from which on the contact may be one of the tip, which pushes by large steps place up to 0.05 before it.
+_NEAR_TIP = 0.95
+
+
+class Frames(NamedTuple):
+    """Where rods bend, in a plane or in space, k dimensions: rows (n,) of sweeps one after the other, in rod lengths."""
+
+    sweep: Index
+    """(n,) numbers of the sweeps."""
+    place: Array
+    """(n, k) the clamp."""
+    axes: Array
+    """(n, 2, k) the unit vectors against which the body pushes the rod, and along which the rod leaves the clamp."""
+    normal: Array
+    """(n, k) that across both; zero in a plane."""
+
+    def rows(self, rows: Index) -> Frames:
+        """The frames of some rows."""
+        return Frames(self.sweep[rows], self.place[rows], self.axes[rows], self.normal[rows])
+
+
+class Followed(NamedTuple):
+    """Contacts (n,) by their moments."""
+
+    force: Array
+    """(n, 2) support reactions along the two axes, f0x and f0y in EI/L²; NaN where there is no such contact."""
+    covariance: Array
+    """(n, 4, 4) of f0x, f0y, the moment, and the angle about the rod of the plane in which it bends."""
+
+
+def follow(
+    frames: Frames,
+    moment: Array,
+    start: Array,
+    *,
+    friction: float = 0.0,
+    rod: Rod | None = None,
+    noise: float = 0.0,
+    start_sd: ArrayLike = 0.0,
+    friction_angle_sd: float = 0.0,
+) -> Followed:
+    """The forces of tangential contacts (n,) that follow one another, by the moments (n,) that bend the rods, in ``EI/L``.
+
+    start, start_sd
+        arc length s1 of the first contact of each sweep (m,) and its standard deviation; NaN: the sweep is not followed.
+    noise
+        standard deviation of each component of the moment.
+    friction_angle_sd
+        that of the friction angle, one error of all rows; it is that of contacts in a plane.
+    """
+    rod, zeta, count = Rod() if rod is None else rod, np.arctan(friction), len(moment)
+    _, first, number = np.unique(frames.sweep, return_index=True, return_inverse=True)
+    rank = np.arange(count) - first[number]
+    begin, begin_sd = start[number], np.broadcast_to(start_sd, start.shape)[number]
+    force, covariance = np.full((count, 2), np.nan), np.full((count, 4, 4), np.nan)
+    common = np.zeros(
+        (3, count, 4)
+    )  # what errors of the friction angle, the start and the steps change, in each sweep alike
+    curvature = np.zeros(count)  # of the surface up to a row
+    for k in range(int(rank.max(initial=-1)) + 1):
+        rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
+        push = moment[rows] / begin[rows]  # of a rod that is hardly bent
+        guess = np.stack([-push, moment[rows] ** 2 / 2 - push * np.sin(zeta)], axis=1)
+        if k:
+            rows = rows[np.isfinite(force[rows - 1, 0])]
+            guess = force[rows - 1] * (moment[rows] / moment[rows - 1])[:, None]
+            if k > 1:
+                guess = 2 * force[rows - 1] - force[rows - 2]
+        if not len(rows):
+            break
+        last = _contact(frames, rows - 1, force[rows - 1], moment[rows - 1], rod) if k else None
+
+        def equations(tried: Array, rows: Index = rows, last: Pair | None = last) -> tuple[Array, Array, Array]:
+            """Residuals (n, 2), their derivatives by the numbers of a row (n, 2, 4), and by those of the row before."""
+            here, slopes = _contact(frames, rows, tried, moment[rows], rod)
+            rates = np.zeros((2, len(rows), 2, 4))
+            rates[0, :, 0] = slopes.beta
+            if last is None:
+                rates[0, :, 1] = slopes.s1
+                return np.stack([here.beta - zeta, here.s1 - begin[rows]], axis=1), rates[0], rates[1]
+            way, normal = here.point - last[0].point, here.normal + last[0].normal
+            for rate, sign, by in ((rates[0], 1, slopes), (rates[1], -1, last[1])):
+                rate[:, 1] = np.einsum("nk,nkj->nj", way, by.normal) + sign * np.einsum("nk,nkj->nj", normal, by.point)
+            return np.stack([here.beta - zeta, (way * normal).sum(axis=1)], axis=1), rates[0], rates[1]
+
+        here = _newton(equations, guess)
+        residual, by_here, by_before = equations(here)
+        at = _contact(frames, rows, here, moment[rows], rod)[0]
+        second_sd = begin_sd[rows]
+        if last is not None:
+            way, turn = (np.linalg.norm(new - old, axis=1) for new, old in zip(at[2:], last[0][2:], strict=True))
+            curvature[rows] = turn / np.maximum(way, np.finfo(float).tiny)
+            second_sd = np.minimum(way**2 * np.abs(curvature[rows] - curvature[rows - 1]) / 6, way * turn)
+        inverse = -_inverse(by_here[:, :, :2])
+        right = (
+            (np.abs(residual).max(axis=1) < 1e3 * _FOLLOWED)
+            & (at.s1 <= 1 + 1e-9)
+            & np.isfinite(inverse).all(axis=(1, 2))
+        )
+        rows, by_here, by_before = rows[right], by_here[right], by_before[right]
+        inverse, second_sd = inverse[right], second_sd[right]
+        force[rows] = here[right]
+        own, told = np.zeros((len(rows), 4, 2)), np.zeros((len(rows), 4, 4))
+        own[:, :2], own[:, 2:] = inverse @ by_here[:, :, 2:], np.eye(2)
+        told[:, :2] = inverse @ by_before
+        spread = own * np.stack([np.full(len(rows), noise), noise / moment[rows]], axis=1)[:, None]
+        own_covariance = spread @ spread.transpose(0, 2, 1)
+        common[0, rows, :2] = -friction_angle_sd * inverse[:, :, 0]
+        common[2 if k else 1, rows, :2] = second_sd[:, None] * inverse[:, :, 1]
+        if k:
+            common[:, rows] += np.einsum("nij,enj->eni", told, common[:, rows - 1])
+            own_covariance += told @ covariance[rows - 1] @ told.transpose(0, 2, 1)
+        covariance[rows] = own_covariance
+    return Followed(force, covariance + np.einsum("eni,enj->nij", common, common))
+
+
+class _Contact(NamedTuple):
+    """Contacts (n,), or their derivatives by f0x, f0y, the moment and the angle of the plane, in a last axis."""
+
+    s1: Array
+    beta: Array
+    point: Array
+    normal: Array
+
+
+def _contact(frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod) -> tuple[_Contact, _Contact]:
+    """Contacts of rows (n,), and their derivatives."""
+    fx, fy = force.T
+    with np.errstate(all="ignore"):
+        found = solve("closed-form", rod, fx, fy, moment)
+        by_angle = np.pad(jacobian(fx, fy, moment, rod=rod), ((0, 0), (0, 0), (0, 1)))  # nothing but the place changes
+    by_x, by_y, by_s1, by_alpha, by_beta = by_angle.swapaxes(0, 1)
+    slope, by_slope = (found.alpha - found.beta)[:, None], (by_alpha - by_beta)[:, None, :]
+    (across, along), out = frames.axes[rows].swapaxes(0, 1), frames.normal[rows]
+    point = frames.place[rows] + found.x[:, None] * across + found.y[:, None] * along
+    by_point = across[:, :, None] * by_x[:, None] + along[:, :, None] * by_y[:, None]
+    normal = np.sin(slope) * across - np.cos(slope) * along
+    tangent = np.cos(slope) * across + np.sin(slope) * along
+    by_normal = tangent[:, :, None] * by_slope
+    # the plane turns about the rod
+    by_point[:, :, 3] += found.x[:, None] * out
+    by_normal[:, :, 3] += np.sin(slope) * out
+    return _Contact(found.s1, found.beta, point, normal), _Contact(by_s1, by_beta, by_point, by_normal)
+
+
+Pair = tuple[_Contact, _Contact]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverses of matrices (n, 2, 2), not finite where there is none."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    with np.errstate(all="ignore"):
+        return np.asarray((np.array([[d, -b], [-c, a]]) / (a * d - b * c)).transpose(2, 0, 1))
+
+
+def _newton(equations: Callable[[Array], tuple[Array, Array, Array]], guess: Array) -> Array:
+    """Roots (n, 2) by Newton's method, whose steps are halved where they leave the rods or do not help."""
+    residual, rate, _ = equations(guess)
+    size = np.abs(residual).max(axis=1)
+    for _ in range(_STEPS):
+        if not (size > _FOLLOWED).any():
+            break
+        with np.errstate(all="ignore"):
+            step = -(_inverse(rate[:, :, :2]) @ residual[:, :, None])[:, :, 0]
+        part = np.ones(len(guess))
+        for _ in range(_STEPS):
+            tried = guess + part[:, None] * step
+            moved, by_moved, _ = equations(tried)
+            after = np.abs(moved).max(axis=1)
+            worse = ~(after < size) & (size > _FOLLOWED)
+            if not worse.any():
+                break
+            part[worse] /= 2
+        better = after < size
+        if not better.any():
+            break
+        guess, residual = np.where(better[:, None], tried, guess), np.where(better[:, None], moved, residual)
+        rate, size = np.where(better[:, None, None], by_moved, rate), np.where(better, after, size)
+    return guess
+
+
+def complete_by_moment(
+    x0: ArrayLike, m0z: ArrayLike, start: float, *, friction: float = 0.0, direction: int = -1, rod: Rod | None = None
+) -> Reactions:
+    """The reactions of tangential contacts (n,) that follow one another in a sweep of which only the moment was measured.
+
+    `start` is the arc length s1 of the first contact; its error dies out along the sweep.  A wrong coefficient of friction
+    does not: 0.2 that is taken for 0 costs up to 0.03 rod lengths along the contour.  `direction` and `rod` are as in
+    `planar.reconstruct`.  From the first sample on that has no such contact the forces are NaN.
+    Raises ValueError for a start outside of the rod, and for a coefficient that is negative.
+    """
+    if not (0 < start <= 1 and 0 <= friction < np.inf and direction in (-1, 1)):
+        raise ValueError(
+            "start must be an arc length in (0, 1], friction a number >= 0 and direction -1 or 1, got "
+            f"{start!r}, {friction!r}, {direction!r}"
+        )
+    nothing = np.zeros_like(np.asarray(m0z, dtype=float))
+    base, _, _, moments = checked_reactions(x0, nothing, nothing, m0z)
+    count, side, rod = len(base), -direction, Rod() if rod is None else rod
+    frames = Frames(
+        np.zeros(count, dtype=np.intp),
+        np.column_stack([base, np.zeros(count)]),
+        np.broadcast_to(np.array([[side, 0.0], [0.0, 1.0]]), (count, 2, 2)),
+        np.zeros((count, 2)),
+    )
+    rod = rod if side > 0 else rod.mirrored()
+    force = follow(frames, side * moments, np.array([start]), friction=friction, rod=rod).force
+    return Reactions(base, side * force[:, 0], force[:, 1], moments)
+
+
+def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
+    """Arc lengths s1 (n,) of single touches by the change of the moment m0z over a small push of the base along x.
+
+    `rate` (n,) is that quotient in ``EI/L²``, ``s1 / (∫ (s1 - s)²/B ds + c s1²)``, the integral from the clamp to s1, of a rod
+    that is hardly bent: ``3/s1²`` if it is uniform.  NaN where the contact would lie past the tip.  Noise σ of both moments is
+    one of ``√2 σ s1³ / (6 dx0)`` in the place on a uniform rod.  Raises ValueError for a rod that is curved or has weight.
+    """
+    rod = Rod() if rod is None else rod
+    if rod.curvature or rod.weight:
+        raise ValueError("a single touch is located along a straight rod without weight; sweep a rod with either")
+    ends = np.union1d(np.linspace(0.0, 1.0, _PLACES), rod.profile.knots)
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    half, s = np.diff(ends) / 2, ends[1:]
+    at = ends[:-1, None] + half[:, None] * (1 + nodes)
+    powers = at ** np.arange(3)[:, None, None] / rod.profile.bending_stiffness(at)
+    zeroth, first, second = np.cumsum(powers @ weights * half, axis=1)
+    bent = s * s * zeroth - 2 * s * first + second + rod.compliance * s * s
+    # the root is linear along a uniform rod
+    rates = np.abs(np.atleast_1d(np.asarray(rate, dtype=float)))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.interp(1 / np.sqrt(rates), np.append(0.0, np.sqrt(bent / s)), ends, right=np.nan))
+
+
+def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None) -> tuple[float, float]:
+    """Arc length s1 of the first contact of a sweep in which the moment rises from the first row (n,) on, and its standard
+    deviation: by the rows up to that of three times the first moment, by what a part of them would change, and by the bending.
+
+    NaN where the contact may be at the tip, where the rod is bent from the first row on, and of less than three rows.
+    Raises ValueError as `touched_at`.
+    """
+    if len(moment) < 3:
+        return np.nan, np.nan
+    last = int(np.argmax(np.append(moment >= _PUSH * moment[0], True)))
+    last = min(max(last, 2), len(moment) - 1)
+    rows = np.array([last, (last + 1) // 2])
+    way = np.abs((frames.place[rows] - frames.place[0]) @ frames.axes[last, 0])
+    rate, error = (moment[rows] - moment[0]) / way, np.sqrt(2) * noise / way[0]
+    s1, part, near, far = touched_at(np.maximum([*rate, rate[0] + error, rate[0] - error], 0.0), rod=rod)
+    bent = moment[[0, last]] * s1 / 2  # slope of the rod at the contact
+    sd = float(np.linalg.norm([(far - near) / 2, s1 - part, s1 * bent[1] ** 2 / 4]))
+    # the contact moves on during the push: a part of it tells where it began
+    start = float(2 * part - s1)
+    return (start, sd) if 0 < start < _NEAR_TIP - 3 * sd and bent[0] < _BENT else (np.nan, np.nan)
+
+
+def follow_pushes(
+    frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None, **told: float
+) -> Followed:
+    """`follow` from what `by_push` tells of the first contact of each sweep."""
+    sweeps = [np.flatnonzero(frames.sweep == number) for number in np.unique(frames.sweep)]
+    pushes = [by_push(frames.rows(rows), moment[rows], noise=noise, rod=rod) for rows in sweeps]
+    start, start_sd = np.array(pushes).reshape(-1, 2).T
+    return follow(frames, moment, start, rod=rod, noise=noise, start_sd=start_sd, **told)

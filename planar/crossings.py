@@ -15,9 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask
+from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions
 from planar.pieces import piece
-from planar.reactions import checked_reactions
 
 # Places of each rod about which it is expanded, up to its contact and past it.
 _BENT, _STRAIGHT = 40, 16

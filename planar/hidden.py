@@ -26,10 +26,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, checked_reactions
 from planar.crossings import EXPANDED, SNAPPED, drawn, near
 from planar.pieces import piece
-from planar.reactions import checked_reactions
 from planar.reconstruction import Contacts, NormalSource, Status
 from planar.sweeping import Phase
 from planar.uncertainty import Errors

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
-from planar.arrays import BLOCK, Array, Mask
+from planar.arrays import BLOCK, Array, Mask, Reactions, checked_reactions
 from planar.inverses import METHODS, solve
-from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
 from planar.sweeping import Phase
 from planar.tables import Explained, counted, to_frame, words

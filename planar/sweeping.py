@@ -20,11 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, rod_sweeps, segments
 from planar.any_body import SweepStatus, follow, last_contacts
-from planar.arrays import BLOCK, Array, Index, Mask
+from planar.arrays import BLOCK, Array, Index, Mask, Reactions
 from planar.contours import Contour, Polygon, check_contour, mirrored
 from planar.loops import Outlines
 from planar.paths import Path, check_height, polygon_paths
-from planar.reactions import Reactions
 from planar.rods import Rod
 from planar.segments import Segments, cut_intervals
 from planar.several import Rods, reactions

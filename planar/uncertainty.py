@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Mask
-from planar.channels import NAMES
+from planar.arrays import NAMES, Array, Mask, checked_reactions
 from planar.elastica import bend_with_slopes
 from planar.inverses import solve
-from planar.reactions import checked_reactions
 from planar.rods import Rod
 
 DIFFERENCE = 3e-4

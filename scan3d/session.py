@@ -19,8 +19,7 @@ from scan3d.numbers import length, share
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
-from scan3d.planning.plan import Plan, further_directions, open_places
-from scan3d.planning.stretches import aimed_line, aims
+from scan3d.planning.plan import Plan, aimed_line, aims, further_directions, open_places
 from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE

@@ -25,11 +25,11 @@ from scan3d.choices import Method, Model, Tare, one_of
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, import_open3d
-from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.formats import to_polydata, write_shape
 from scan3d.files.meshes import FORMATS, common_unit, load_mesh, read_mesh, stated_unit
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import Shape, cloud_table, read_shape, surface_table, table
+from scan3d.files.tables import PARQUET
 from scan3d.files.whole import check_pair
 from scan3d.geometry.distance import distances
 from scan3d.planning import Plan

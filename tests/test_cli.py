@@ -21,7 +21,7 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d import scenes
+from scan3d import results
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.pictures import rendering
@@ -189,7 +189,7 @@ def test_every_setting_is_an_option_and_its_help_has_the_default(call, monkeypat
 
 @pytest.mark.slow
 def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, monkeypatch, no_pictures):
-    mesh = scan3d.load_mesh(scenes.DEMO)
+    mesh = scan3d.load_mesh(results.DEMO)
     monkeypatch.syspath_prepend(MESHES)
     made = importlib.import_module("make_meshes").make("egg", 16)
     assert sorted(map(tuple, mesh.vertices)) == sorted(map(tuple, made.vertices))

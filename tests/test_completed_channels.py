@@ -9,10 +9,9 @@ import trimesh
 
 import scan3d
 from scan3d import InputError, Rod
-from scan3d.channels import COLUMNS
 from scan3d.geometry.distance import distances
 from scan3d.reconstruction.contacts import contacts
-from scan3d.recording import completed
+from scan3d.recording import REACTIONS, completed
 
 WIRE = Rod.wire(0.04, 0.25e-3, 210e9).without_thickness()
 CONE = Rod(0.04, WIRE.bending_stiffness_Nm2, 0.25e-3, 0.125e-3).without_thickness()
@@ -40,7 +39,7 @@ def without(recording, channel, folder, known):
     path = folder / "log.csv"
     scan3d.write_recording(recording, path)
     header, *lines = path.read_text().splitlines()
-    column = header.split(",").index(COLUMNS[channel])
+    column = header.split(",").index(REACTIONS[channel])
     rows = [line.split(",") for line in (header, *lines)]
     path.write_text("".join(",".join(row[:column] + row[column + 1 :]) + "\n" for row in rows))
     beside = path.with_suffix(".toml")
@@ -53,7 +52,7 @@ def without(recording, channel, folder, known):
 def test_recordings_of_two_channels_are_completed(channel, rod, tmp_path):
     mesh, whole = scanned(rod, few=rod is CONE)  # which is marched for every value tried
     read = scan3d.read_recording(without(whole, channel, tmp_path, f"friction = {FRICTION}"))
-    assert read.completed == scan3d.channels.Known(FRICTION, 0.0, channel)
+    assert read.completed == scan3d.recording.Known(FRICTION, 0.0, channel)
     cloud = contacts(read)
     assert np.abs(distances(cloud.points, mesh)).max() < 1e-8 * 40
     # rows that the channels leave open are missing, those in the air are not
@@ -139,7 +138,7 @@ def test_what_two_channels_do_not_tell_is_refused(tmp_path):
     with pytest.raises(InputError, match="lacks fy_N, mz_Nm"):
         scan3d.read_recording(path)
     with pytest.raises(InputError, match="completed channel must be one of"):
-        scan3d.channels.Known(0.3, 0.0, "fz")
+        scan3d.recording.Known(0.3, 0.0, "fz")
     # fx of either sign agrees with the others
     with pytest.raises(InputError, match="leave no contact, or several, with that all contacts are at the tip"):
-        completed(replace(whole, completed=scan3d.channels.Known(None, 0.0, "f0x")))
+        completed(replace(whole, completed=scan3d.recording.Known(None, 0.0, "f0x")))

@@ -5,13 +5,12 @@ import pytest
 
 import planar
 import scan3d
-from planar.following import Frames, by_push, follow
-from scan3d.channels import Known
+from planar.channels import Frames, by_push, follow
 from scan3d.errors import InputError
 from scan3d.laboratory.one_sweep import OneSweep, read_sweep, reconstruct_sweep
 from scan3d.reconstruction.agreement import checked
 from scan3d.reconstruction.contacts import contacts
-from scan3d.recording import completed, of_rows
+from scan3d.recording import Known, completed, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import sweep

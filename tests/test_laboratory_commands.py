@@ -14,7 +14,7 @@ from raw_tables import Rig, map_of, table, track, write
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.binary_tables import parquet_bytes
+from scan3d.files.tables import parquet_bytes
 from scan3d.files.text import to_toml
 from scan3d.laboratory.guessing import guess_map
 

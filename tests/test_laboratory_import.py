@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d import InputError
-from scan3d.files.binary_tables import parquet_bytes
-from scan3d.laboratory import filtering
-from scan3d.laboratory.air import robust_sd
+from scan3d.files.tables import parquet_bytes
+from scan3d.laboratory import signals
 from scan3d.laboratory.guessing import guess_map
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.signals import robust_sd
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 EXACT = Rig()
@@ -526,8 +526,8 @@ def test_rows_next_to_a_snap_are_blurred_and_no_others(noise, snap):
     clock = np.arange(20_000) / rate
     exact = size * np.where(np.arange(len(clock)) < snap, np.sin(np.pi * clock / 20), 0.0)[:, None]
     values = exact + size * noise * np.random.default_rng(0).standard_normal(exact.shape)
-    filtered = filtering.low_pass(values, clock, limit, rate, "log")
-    rows = np.flatnonzero(filtering.blurred(values, filtered, clock, limit, rate, "log"))
+    filtered = signals.low_pass(values, clock, limit, rate, "log")
+    rows = np.flatnonzero(signals.blurred(values, filtered, clock, limit, rate, "log"))
     if snap == len(clock):
         assert not len(rows)
         return

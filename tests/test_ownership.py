@@ -15,7 +15,7 @@ from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
 from scan3d.pictures import figures
 from scan3d.pictures.page import page
-from scan3d.scenes import read_folder
+from scan3d.results import read_folder
 
 FOREIGN = "can't be recognised as written by scan3d; give --overwrite"
 NEVER = "is the {} that this run reads, which is never overwritten; choose another place with {}"

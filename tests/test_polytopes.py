@@ -9,8 +9,8 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 from spatial_bodies import unit
 
-from scan3d.geometry import polytopes
-from scan3d.geometry.polytopes import clipped, cut_polytope
+from scan3d.geometry import hulls
+from scan3d.geometry.hulls import clipped, cut_polytope
 
 
 def test_tangent_planes_cut_what_faces_leave_open():
@@ -43,7 +43,7 @@ def test_planes_at_which_qhull_fails_still_leave_their_corners(monkeypatch):
 
     corners = trimesh.creation.box((2, 2, 2)).vertices.view(np.ndarray)
     faces = np.column_stack([np.concatenate([np.eye(3), -np.eye(3)]), np.ones(6)])
-    monkeypatch.setattr(polytopes, "ConvexHull", fails)
+    monkeypatch.setattr(hulls, "ConvexHull", fails)
     found = cut_polytope(faces, np.array([[1.0, 0, 0, 0.5]]), np.zeros(3), 2.0, 1e-9)
     assert len(found) == 8
     assert found.max(axis=0) == pytest.approx([0.5, 1, 1])
@@ -67,7 +67,7 @@ DUAL = np.array([
 # In a process of its own, which can be ended; the largest value by which a corner lies outside of a half-space.
 CODE = """
 import numpy as np
-from scan3d.geometry.polytopes import half_space_intersection
+from scan3d.geometry.hulls import half_space_intersection
 dual = np.array({})
 corners = half_space_intersection(np.column_stack([dual, -np.ones(len(dual))]), np.zeros(3)).intersections
 print((corners @ dual.T - 1).max())

@@ -10,7 +10,7 @@ import planar
 from planar.elastica import bend
 from scan3d import InputError, Rod
 from scan3d.cli import main
-from scan3d.files.poses import COLUMNS, read_poses, write_poses
+from scan3d.files.recordings import POSE_COLUMNS, read_poses, write_poses
 from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import (
@@ -196,7 +196,7 @@ def test_poses_are_read_back_bit_for_bit(tmp_path):
     for name in ("sweep", "position_m", "quaternion", "move"):
         assert (getattr(again, name) == getattr(poses, name)).all()
     assert (again.rod, again.speed_m_s, again.model, again.unit) == (poses.rod, poses.speed_m_s, "spatial", "mm")
-    assert (tmp_path / "poses.csv").read_text().partition("\n")[0] == ",".join(COLUMNS)
+    assert (tmp_path / "poses.csv").read_text().partition("\n")[0] == ",".join(POSE_COLUMNS)
     # without the TOML file nothing is known of the rod
     (tmp_path / "poses.toml").unlink()
     assert read_poses(tmp_path / "poses.csv").rod is None
@@ -218,7 +218,7 @@ GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
 )
 def test_lists_of_poses_with_errors_say_where(tmp_path, text, sentence):
     path = tmp_path / "p.csv"
-    path.write_text(text.replace("HEAD", ",".join(COLUMNS) + "\n"))
+    path.write_text(text.replace("HEAD", ",".join(POSE_COLUMNS) + "\n"))
     with pytest.raises(InputError, match=sentence) as caught:
         read_poses(path)
     assert "\n" not in str(caught.value)

@@ -13,7 +13,7 @@ from small_scans import CUBE, EGG
 import scan3d
 from scan3d import InputError, Rod
 from scan3d.cli import main
-from scan3d.files.poses import read_poses
+from scan3d.files.recordings import read_poses
 from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses

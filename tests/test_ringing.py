@@ -7,9 +7,9 @@ import pytest
 from raw_tables import Rig, map_of, table, track, write
 
 import scan3d
-from scan3d.laboratory.filtering import ringing
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.signals import ringing
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 # Moment over force of a cantilever that swings in its first mode, in its lengths: ∫ φ s ds / ∫ φ ds, φ the mode's deflection.

@@ -13,7 +13,7 @@ from spatial_scans import SEMI_AXES
 
 import planar
 import scan3d
-from scan3d import scenes
+from scan3d import results
 from scan3d.cli import main, show
 from scan3d.pictures import parts
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
@@ -50,7 +50,7 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
 def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_path, no_pictures):
     scan3d.write_recording(ellipsoid.recording, tmp_path / "recording.csv")
     assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
-    read, report = scenes.read_folder(tmp_path, "mm")
+    read, report = results.read_folder(tmp_path, "mm")
     assert report["model"] == "spatial"
     cloud = scan3d.reconstruct(read.recording)
     assert read.column("slice") is None
@@ -64,15 +64,15 @@ def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_pa
 
 def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    report = scenes.read_report(folder)
-    assert Path(scenes.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
+    report = results.read_report(folder)
+    assert Path(results.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
     (tmp_path / "parts").mkdir()
     (tmp_path / "elsewhere").mkdir()
     for body, found in ((None, None), (CUBE, None), (EGG, "parts/egg.stl")):
         if body:
             (tmp_path / "parts" / "egg.stl").write_bytes(body.read_bytes())
-        assert scenes.find_truth(tmp_path / "elsewhere", report) == found
-    assert scenes.find_truth(tmp_path / "elsewhere", {}) is None
+        assert results.find_truth(tmp_path / "elsewhere", report) == found
+    assert results.find_truth(tmp_path / "elsewhere", {}) is None
 
 
 def strings(value):
@@ -82,7 +82,7 @@ def strings(value):
 
 
 def test_a_report_names_no_place_outside_its_folder(folder):
-    report = scenes.read_report(folder)
+    report = results.read_report(folder)
     assert report["mesh"]["file"] == report["source"]["mesh"] == "egg.stl"
     words = strings(dict(report))
     assert len(words) > 100

@@ -10,7 +10,7 @@ from small_scans import EGG, undrawn
 import scan3d
 from scan3d import InputError, Rod, Session
 from scan3d.cli import main
-from scan3d.files.poses import COLUMNS, read_poses
+from scan3d.files.recordings import POSE_COLUMNS, read_poses
 from scan3d.geometry.distance import distances
 from scan3d.session import around_contacts
 from scan3d.simulation.rig import simulate_rig, standing
@@ -146,5 +146,5 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys, n
     assert main([*again, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["bound"] < data["bound"]
     assert main([*again, "--tolerance", "0.5"]) == 0
-    assert (tmp_path / "p2.csv").read_text() == ",".join(COLUMNS) + "\n"
+    assert (tmp_path / "p2.csv").read_text() == ",".join(POSE_COLUMNS) + "\n"
     assert "0 further sweeps" in capsys.readouterr().out

@@ -9,9 +9,9 @@ import planar
 from planar import any_body, clearance, singles
 from planar.elastica import bend
 from planar.loops import Outlines
-from planar.outline_paths import runs
 from planar.pieces import piece
 from planar.several import reactions
+from planar.singles import runs
 
 
 def gear(turn, count=60):

@@ -10,7 +10,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.geometry.distance import nearest
 from scan3d.planning import plan as aims
-from scan3d.simulation import spatial
+from scan3d.simulation import scan
 from scan3d.spatial.bodies import RoundedPolyhedron
 
 
@@ -70,7 +70,7 @@ def test_aimed_sweeps_touch_where_they_are_aimed(cube):
     normals = np.sign(places) * (np.abs(places) == np.abs(places).max(axis=1, keepdims=True))
     lines = aims.aimed(places, normals, 10, rng)
     plan = scan3d.Plan(model="spatial", friction=0.2)
-    [swept] = spatial._sweep(body, lines, plan, 1)
+    [swept] = scan._sweep_in_space(body, lines, plan, 1)
     touches = np.isfinite(swept.result.s1)
     first = swept.result.point[np.arange(len(touches)), touches.argmax(axis=1)]
     target = lines.origin + aims._TOUCHED * lines.axes[:, 1]

@@ -8,7 +8,7 @@ from shapes import letter_l
 
 import scan3d
 from scan3d.bounds.free_space import outer_contours, sheets_of
-from scan3d.planning.stretches import aimed_line, aims
+from scan3d.planning.plan import aimed_line, aims
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.report import measurands, report, summary
 from scan3d.rods import parse_rod
-from scan3d.simulation.grown import grown_extent, sections
+from scan3d.simulation.felt import grown_extent, sections
 
 WIRE = parse_rod("steel:0.3x50")
 

@@ -24,7 +24,7 @@ from scan3d.files.whole import (
     write_atomic,
     write_together,
 )
-from scan3d.scenes import read_folder
+from scan3d.results import read_folder
 
 MESHES = Path(__file__).parents[1] / "meshes"
 can_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the operating system can't fork a process")

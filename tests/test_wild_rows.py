@@ -11,7 +11,7 @@ from spatial_scans import recorded
 import scan3d
 from scan3d.bounds import enclosure, premises
 from scan3d.geometry.distance import nearest
-from scan3d.laboratory.air import tare
+from scan3d.laboratory.signals import tare
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.errors import noise_in_air

@@ -50,7 +50,7 @@ from scan3d.arrays import NEGLIGIBLE, OCTANTS, ROUNDING, Array, Index, Mask, acr
 from scan3d.bounds.constraints import HalfSpaces, by_arcs, by_secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.polytopes import half_space_intersection
+from scan3d.geometry.hulls import half_space_intersection
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import SliceStack
 

@@ -20,8 +20,7 @@ from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, high
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
-from scan3d.geometry.hulls import edges_of
-from scan3d.geometry.polytopes import cut_polytope
+from scan3d.geometry.hulls import cut_polytope, edges_of
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack

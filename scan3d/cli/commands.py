@@ -21,8 +21,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unused
 
 from scan3d.choices import Shell
 from scan3d.cli import doctor, rig, show, verbs
-from scan3d.cli.options import Output
-from scan3d.cli.terminal import Progress, say
+from scan3d.cli.terminal import Output, Progress, say
 from scan3d.errors import InputError, UsageError
 from scan3d.processes import compute_algebra_in_one_thread
 

@@ -7,8 +7,7 @@ import shlex
 import sys
 from typing import Any
 
-from scan3d.cli.options import Output
-from scan3d.cli.terminal import printable_json, table
+from scan3d.cli.terminal import Output, printable_json, table
 from scan3d.processes import python
 
 # Packages that every scan needs, and what the others are used for.

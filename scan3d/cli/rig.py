@@ -10,8 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from scan3d.choices import Model, Tare
-from scan3d.cli.options import Body, File, Flag, Number, Options, Output, Overwrite, Rig
-from scan3d.cli.terminal import print_result, printable, printable_json, say, table
+from scan3d.cli.terminal import (
+    Body,
+    File,
+    Flag,
+    Number,
+    Options,
+    Output,
+    Overwrite,
+    Rig,
+    print_result,
+    printable,
+    printable_json,
+    say,
+    table,
+)
 from scan3d.errors import InputError, UsageError
 from scan3d.numbers import force, length, moment, number, plus_minus, share
 from scan3d.rods import parse_rod
@@ -96,8 +109,8 @@ def plan(
     unit
         unit of the bounding body, of floor and speed
     """
-    from scan3d.files.poses import check_poses, write_poses
     from scan3d.files.reading import rod_section
+    from scan3d.files.recordings import check_poses, write_poses
     from scan3d.files.whole import folder
     from scan3d.planning.rig import RigPlan, largest_force, parse_envelope, plan_poses
 
@@ -171,8 +184,7 @@ def further(
         of the directions of sweeps in space
     """
     from scan3d.files import whole
-    from scan3d.files.poses import check_poses, write_poses
-    from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.recordings import check_poses, read_recording, sidecar, write_poses
     from scan3d.files.whole import RECORDING, check_belongs, locate, read_report
     from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
@@ -232,9 +244,8 @@ def simulate_rig(
 ) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.poses import RAW_COLUMNS, map_path, read_poses
     from scan3d.files.reading import read_section
-    from scan3d.files.recordings import check_path, sidecar
+    from scan3d.files.recordings import RAW_COLUMNS, check_path, map_path, read_poses, sidecar
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
     from scan3d.simulation.faults import read_faults
@@ -298,9 +309,8 @@ def simulate_rig(
 def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
-    from scan3d.files.poses import RAW_COLUMNS, write_log
     from scan3d.files.reading import rod_section
-    from scan3d.files.recordings import recording_files
+    from scan3d.files.recordings import RAW_COLUMNS, recording_files, write_log
     from scan3d.files.whole import write_together
     from scan3d.poses import MOVES
 
@@ -480,7 +490,7 @@ def import_(
     from scan3d.files.whole import atomic, check_file, check_pair, folder
     from scan3d.laboratory.importing import KIND, convert, load, with_rig
     from scan3d.laboratory.maps import read_map
-    from scan3d.pictures import charts, views
+    from scan3d.pictures import views
     from scan3d.recording import joined
 
     inputs = {"table": raw, "map": map, "rig": rig}
@@ -505,7 +515,7 @@ def import_(
     facts = _facts(imported)
     if drawn:
         with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
-            charts.draw(charts.import_figure, imported, file)
+            views.draw(views.import_figure, imported, file)
     paths = {"recording": str(written) if written else None, "picture": str(drawn) if drawn else None}
     places = [("written to", path) for path in paths.values() if path]
     text = table(f"{imported.summary.table}, imported", [*facts, *places])

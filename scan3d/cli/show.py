@@ -9,8 +9,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from scan3d.choices import Color, View, one_of
-from scan3d.cli.options import File, Flag, Mesh, Output, Overwrite
-from scan3d.cli.terminal import print_result, printable
+from scan3d.cli.terminal import File, Flag, Mesh, Output, Overwrite, print_result, printable
 from scan3d.errors import InputError, UsageError
 from scan3d.pictures.sheet import WITH_OTHER, sheet
 from scan3d.units import Unit
@@ -88,7 +87,7 @@ def show(
     except InputError as error:
         raise UsageError(str(error)) from None
     from scan3d.files.whole import check_file, write_atomic
-    from scan3d.pictures import canvas, drawing, page, views
+    from scan3d.pictures import canvas, page, rendering, views
     from scan3d.pictures import movie as movies
 
     if not (screenshot or html or movie):
@@ -105,7 +104,7 @@ def show(
     output.progress.tell("reading")
     scene = read_scene(path, truth, hull, unit)
     if against:
-        from scan3d.scenes import other_surface
+        from scan3d.results import other_surface
 
         scene = scene.against(other_surface(against, scene.unit, unit))
     output.progress.tell("drawing")
@@ -116,10 +115,10 @@ def show(
     if html:
         write_atomic(html, page.page(scene), "--html")
     if movie:
-        write_atomic(movie, drawing.draw(scene, [(movie.suffix.lower(), {})])[0], "--movie")
+        write_atomic(movie, rendering.draw(scene, [(movie.suffix.lower(), {})])[0], "--movie")
     if screenshot:
         shown = view or ("cloud" if color or scene.surface is None else "surface")
-        write_atomic(screenshot, drawing.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
+        write_atomic(screenshot, rendering.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
     files = [str(file) for file in (html, movie, screenshot) if file]
     text = "\n".join(printable(f"written to {file}") for file in files)
     return print_result(output, {"shown": scene.name, "files": files}, text)
@@ -149,7 +148,7 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
 
 def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
-    from scan3d import scenes
+    from scan3d import results
     from scan3d.files.meshes import load_mesh, read_mesh
     from scan3d.pictures.scene import Scene
 
@@ -158,14 +157,14 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
             f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
         )
     if path.is_dir():
-        scene, report = scenes.read_folder(path, unit)
-        found = None if truth else scenes.find_truth(path, report)
+        scene, report = results.read_folder(path, unit)
+        found = None if truth else results.find_truth(path, report)
         truth = Path(found) if found else truth
         hull = hull or bool((report.get("mesh") or {}).get("hull"))
     elif path.suffix.lower() in (".csv", ".parquet"):
         scene = _recording_scene(path)
     else:
-        stored_scene = scenes.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+        stored_scene = results.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
         scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path, unit))
     return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull, unit=scene.unit)) if truth else scene
 

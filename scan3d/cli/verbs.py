@@ -11,18 +11,42 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from scan3d.choices import Export, Method, Model
-from scan3d.cli import one_sweep
-from scan3d.cli.options import File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
 from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
-from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
+from scan3d.cli.terminal import (
+    File,
+    Flag,
+    Folder,
+    Mesh,
+    Number,
+    Options,
+    Output,
+    Overwrite,
+    Rig,
+    Strict,
+    duration,
+    print_result,
+    print_settings,
+    printable,
+    say,
+    table,
+)
 from scan3d.errors import InputError, UsageError
-from scan3d.numbers import share
+from scan3d.numbers import length, number, share
+from scan3d.rods import parse_rod
 from scan3d.settings import Settings, settings
 from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
+_OF_ONE_SWEEP = Parameter(
+    group=Group(
+        "One sweep in one plane",
+        help="The table may be a .csv of one sweep, or of touches at one place of the base, with the columns x0, f0x, f0y, "
+        "m0z (dimensionless) or x0_m, f0x_N, f0y_N, m0z_Nm.  One reaction may be missing if [known] in its TOML file has the "
+        "friction, or contact = 'tip'.",
+    )
+)
 # Settings of the demonstration: few slices, so that it takes some seconds, and what they leave unknown can be seen.
 DEMO_SETTINGS = {"slices": 24, "friction": "0.1:0.4"}
 
@@ -67,7 +91,7 @@ def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, out
     out
         folder for the results
     """
-    from scan3d.scenes import DEMO
+    from scan3d.results import DEMO
 
     code = _report(_scanned(DEMO, settings(DEMO_SETTINGS), out, overwrite, output), out, False, output)
     if not (output.json or output.quiet):
@@ -162,9 +186,9 @@ def reconstruct(
     model: Model | None = None,
     rig: Rig = None,
     table: float | None = None,
-    rod: Annotated[str | None, one_sweep.OPTIONS] = None,
-    noise_force: Annotated[float | None, one_sweep.OPTIONS] = None,
-    noise_moment: Annotated[float | None, one_sweep.OPTIONS] = None,
+    rod: Annotated[str | None, _OF_ONE_SWEEP] = None,
+    noise_force: Annotated[float | None, _OF_ONE_SWEEP] = None,
+    noise_moment: Annotated[float | None, _OF_ONE_SWEEP] = None,
     overwrite: Overwrite = False,
     strict: Strict = False,
     output: Output = Output(),
@@ -224,7 +248,7 @@ def reconstruct(
     if is_sweep(recording):
         needed = f"a recording with poses, and {recording.name} is one sweep in one plane"
         _refuse([name for name, given in of_recording.items() if given], needed)
-        return one_sweep.reconstruct(recording, rod, noise_force, noise_moment, out, overwrite, output)
+        return _reconstruct_sweep(recording, rod, noise_force, noise_moment, out, overwrite, output)
     if out is None:
         raise UsageError("--out is missing: it names the folder for the results")
     _refuse(
@@ -473,3 +497,103 @@ def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> in
 
 def _parts(chosen: Settings) -> str:
     return "rounds" if chosen.model == "spatial" else "slices"
+
+
+def _reconstruct_sweep(
+    recording: Path,
+    rod_name: str | None,
+    noise_force: float | None,
+    noise_moment: float | None,
+    out: Path | None,
+    overwrite: bool,
+    output: Output,
+) -> int:
+    """Contour and friction of one sweep: a summary, the contacts as CSV, and a picture."""
+    from scan3d.files.recordings import sidecar
+    from scan3d.files.whole import atomic, check_file, folder, write_atomic
+    from scan3d.laboratory.one_sweep import contacts_csv, read_sweep, reconstruct_sweep
+    from scan3d.pictures import views
+
+    rod = parse_rod(rod_name) if rod_name else None
+    if rod_name and rod is None:
+        raise UsageError("--rod auto is for simulated scans; name the rod as MATERIAL:DIAMETERxLENGTH")
+    # in the folder of the table, or where --out says
+    place = recording.parent if out is None else out
+    picture = place if place.suffix.lower() in (".png", ".pdf") else place / "sweep.png"
+    contacts = picture.with_name("contacts.csv")
+    found = reconstruct_sweep(read_sweep(recording, rod, noise_force, noise_moment))
+    inputs = {"table": recording, "TOML file of the table": sidecar(recording)}
+    with folder(picture.parent):
+        text = contacts_csv(found)
+        check_file(picture, inputs, overwrite, "--out")
+        check_file(contacts, inputs, overwrite, "--out", text)
+        with atomic(picture) as path:
+            views.draw(views.sweep_figure, found, path)
+        write_atomic(contacts, text)
+    data = _figures_of_sweep(found) | {"files": [str(contacts), str(picture)]}
+    return print_result(output, data, table("", _rows_of_sweep(data)))
+
+
+def _figures_of_sweep(found: Any) -> dict[str, Any]:
+    """The key figures of a sweep; lengths in mm if the rod is known, else in rod lengths."""
+    import numpy as np
+
+    import planar
+
+    sweep, contacts, touching, tangential = found.sweep, found.contacts, found.touching, found.tangential
+    scale, unit = (1e3 * sweep.rod.length_m, "mm") if sweep.rod else (1.0, "rod lengths")
+    codes, counts = np.unique(contacts.status[~touching & ~found.undetermined], return_counts=True)
+    friction, s1 = contacts.friction[tangential], scale * contacts.s1[touching]
+    data = {
+        "unit": unit,
+        "samples": len(sweep),
+        "direction": sweep.direction,
+        "contacts": int(touching.sum()),
+        "tip": int(touching.sum() - tangential.sum()),
+        "tangential": int(tangential.sum()),
+        "undetermined": int(found.undetermined.sum()),
+        "without_contact": {planar.Status(c).sentence: int(n) for c, n in zip(codes, counts, strict=True)},
+        "s1": [float(s1.min()), float(s1.max())],
+        "friction_assumed": sweep.known.friction if sweep.known else None,
+        "friction_median": float(np.median(friction)) if len(friction) else None,
+        "friction_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
+    }
+    if found.noisy:
+        sd = scale * found.errors.largest[touching]
+        data["place_sd_median"], data["place_sd_largest"] = float(np.nanmedian(sd)), float(np.nanmax(sd))
+        data["friction_sd_median"] = float(np.nanmedian(found.friction_sd[tangential])) if len(friction) else None
+        data["only_rounding"] = found.only_rounding
+    return data
+
+
+def _rows_of_sweep(data: dict[str, Any]) -> list[tuple[str, str]]:
+    unit, friction = data["unit"], "not known, as no contact is tangential"
+    ask = "give the noise by --noise-force and --noise-moment"
+
+    def size(value: float, digits: int = 3) -> str:
+        return length(value, unit, digits=digits) if unit == "mm" else f"{number(value, digits)} {unit}"
+
+    if data["friction_assumed"] is not None:
+        friction = f"{number(data['friction_assumed'])}, assumed: it stands in [known]"
+    elif data["friction_median"] is not None:
+        low, high = map(number, data["friction_range"])
+        friction = f"{number(data['friction_median'])}, median of {low} to {high}"
+        if "friction_sd_median" in data:
+            friction += f", standard deviation of one contact {number(data['friction_sd_median'], 2)}"
+    place = f"not known: {ask}"
+    if "place_sd_median" in data:
+        median, largest = (size(data[f"place_sd_{name}"], 2) for name in ("median", "largest"))
+        by_rounding = f"; by rounding alone: {ask}" if data["only_rounding"] else ""
+        place = f"{median}, median of the standard deviations; largest {largest}{by_rounding}"
+    without = [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
+    left = [("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open")]
+    return [
+        ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
+        ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
+        *without,
+        *(left if data["undetermined"] else []),
+        ("s1", " to ".join(size(value, 4) for value in data["s1"])),
+        ("friction", friction),
+        ("error of the place", place),
+        ("written to", ", ".join(data["files"])),
+    ]

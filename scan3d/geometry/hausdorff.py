@@ -36,13 +36,9 @@ from scan3d.geometry.triangles import distance_to, halve, longest_first, without
 if TYPE_CHECKING:
     import trimesh
 
-# Differences of distances below this are rounding.
-ROUNDING = 1e-15
 # The bounds are not improved further where their difference is less than this fraction of the distance, or less than this
 # number of diagonals.
 RELATIVE_GAP = 1e-3
-# Triangles that are split at once.
-BATCH = 4096
 
 
 class Side(NamedTuple):
@@ -136,7 +132,7 @@ def _at_vertices(pairs: tuple[tuple[Body, Body], ...]) -> tuple[list[tuple[Array
         for (source, target), (distance, face), exactly in zip(pairs, quick, known, strict=True):
             batch = 16  # doubled from batch to batch
             while True:
-                threshold = max(floor, (1 + gap) * distance[exactly].max(initial=0.0)) + ROUNDING
+                threshold = max(floor, (1 + gap) * distance[exactly].max(initial=0.0)) + 1e-15  # rounding
                 rest = np.flatnonzero(~exactly & (distance > threshold))
                 if len(rest) == 0:
                     break
@@ -198,7 +194,7 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
             highest = max(lower, settled, float(above.max(initial=0.0)))
             return Side(lower, point, max(lower, min(upper, highest + slack)))
         order = np.argsort(-above)
-        first, rest = order[:BATCH], order[BATCH:]
+        first, rest = order[:4096], order[4096:]  # so many at once
         middle = corners[first, :2].mean(axis=1)
         distance, face = target.search.nearest(middle)
         splits += len(first)

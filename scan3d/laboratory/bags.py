@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import check_file, did_you_mean
-from scan3d.files.text_tables import Table
+from scan3d.files.tables import Table
 from scan3d.laboratory.maps import Topics
 
 _WRENCH, _POSE, _TF = "WrenchStamped", "PoseStamped", "TFMessage"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan3d.files.text_tables import Layout, Table, guessed_layout, read_table
+from scan3d.files.tables import Layout, Table, guessed_layout, read_table
 from scan3d.laboratory.bags import bag_files, is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.units import without_unit

@@ -18,19 +18,17 @@ from numpy.typing import NDArray
 from scan3d import numbers
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
-from scan3d.channels import COLUMNS, FORCE, IN_PLANE
 from scan3d.errors import InputError
 from scan3d.files.reading import Section
-from scan3d.files.text_tables import Table, read_table
+from scan3d.files.tables import Table, read_table
 from scan3d.frames import Frame, euler_of, wrench_matrix
-from scan3d.laboratory import filtering
-from scan3d.laboratory.air import find_air, given_air, robust_sd, tare
+from scan3d.laboratory import signals
 from scan3d.laboratory.bags import is_bag, read_bag
-from scan3d.laboratory.logs import CHANNELS, Log, read_log
+from scan3d.laboratory.logs import CHANNELS, Log, check_directions, read_log, strokes, travel_angles, without_transfers
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
-from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
+from scan3d.laboratory.signals import find_air, given_air, robust_sd, tare
 from scan3d.numbers import share
-from scan3d.recording import FORCE_SIGMAS, Recording, completed, reaction_columns
+from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
 from scan3d.spatial import inverse
 
 KIND = "import"
@@ -202,7 +200,7 @@ def _converted(table: Table, map: Map) -> Imported:
         wrench[backwards] *= np.tile(np.diag(_HALF_TURN.turn), 2)
     within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
-    kept = within[filtering.thinned(sweep[within], every)]
+    kept = within[signals.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
     count = len(kept)
     if recording.completed is not None:
@@ -291,12 +289,12 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
         )
     else:
         sensed = _levelled(log, clock, given_air(clock, map.air, where))
-    swings = filtering.ringing(sensed.wrench, sensed.noise, run)
+    swings = signals.ringing(sensed.wrench, sensed.noise, run)
     if swings.any() and map.air == "auto":
         # where the rod rings is neither zero nor noise; a rod that rings all the time leaves what was found before
         with contextlib.suppress(InputError):
             sensed = _levelled(log, clock, find_air(log.wrench, clock, ~swings, where))
-            swings = filtering.ringing(sensed.wrench, sensed.noise, run)
+            swings = signals.ringing(sensed.wrench, sensed.noise, run)
     return sensed._replace(
         wrench=np.where(swings[:, None], 0.0, sensed.wrench), air=sensed.air & ~swings, ringing=swings
     )
@@ -315,12 +313,12 @@ def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sens
 def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
     if not (map.lowpass_hz or map.rate_hz):
         return sensed
-    rate = filtering.sampling_rate(log.time_s, where)
+    rate = signals.sampling_rate(log.time_s, where)
     if not map.lowpass_hz:
         return sensed._replace(rate=rate)
-    wrench = filtering.low_pass(sensed.wrench, clock, map.lowpass_hz, rate, where)
-    blurred = filtering.blurred(sensed.wrench, wrench, clock, map.lowpass_hz, rate, where)
-    factor = filtering.noise_factor(map.lowpass_hz, rate)
+    wrench = signals.low_pass(sensed.wrench, clock, map.lowpass_hz, rate, where)
+    blurred = signals.blurred(sensed.wrench, wrench, clock, map.lowpass_hz, rate, where)
+    factor = signals.noise_factor(map.lowpass_hz, rate)
     left = factor * sensed.noise
     notes: tuple[str, ...] = ()
     if sensed.air.any():
@@ -420,7 +418,7 @@ def _recording(
         gravity=map.gravity,
         completed=None
         if map.known is None
-        else replace(map.known, channel=FORCE if by_moments else list(COLUMNS)[int(np.argmin(known[IN_PLANE]))]),
+        else replace(map.known, channel=FORCE if by_moments else list(REACTIONS)[int(np.argmin(known[IN_PLANE]))]),
     )
 
 

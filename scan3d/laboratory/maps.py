@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.channels import Known
 from scan3d.files.reading import REQUIRED, Section, did_you_mean, read_rod, read_section
 from scan3d.files.recordings import TABLE, gravity_of, read_known
-from scan3d.files.text_tables import Layout
+from scan3d.files.tables import Layout
 from scan3d.frames import Frame
 from scan3d.numbers import is_finite
+from scan3d.recording import Known
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, spelled

@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 import planar
 from scan3d.arrays import Array, Mask
-from scan3d.channels import COLUMNS as REACTIONS
-from scan3d.channels import FORCE, IN_PLANE, Known
 from scan3d.errors import InputError
 from scan3d.files.reading import read_rod, read_section
 from scan3d.files.recordings import read_known, sidecar
+from scan3d.files.tables import Table, read_table
 from scan3d.files.text import rows_as_text
-from scan3d.files.text_tables import Table, read_table
 from scan3d.reconstruction.errors import contact_tolerance
-from scan3d.recording import FORCE_SIGMAS, rounding_sd, together
+from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
 from scan3d.rods import Rod
 
 COLUMNS = ("x0", "f0x", "f0y", "m0z")

@@ -17,7 +17,6 @@ from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index, evenly
-from scan3d.channels import FORCE
 from scan3d.cloud import Cloud, Tilt
 from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
@@ -35,7 +34,7 @@ from scan3d.reconstruction.misfits import (
     deviations,
 )
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
+from scan3d.recording import FORCE, LARGEST_OVER_SD, Recording, rounding_sd
 from scan3d.units import UNITS_M
 
 BELOW_TABLE = "below-table"

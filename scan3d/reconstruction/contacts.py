@@ -16,7 +16,6 @@ from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index, Mask
-from scan3d.channels import FORCE, IN_PLANE
 from scan3d.choices import MODELS
 from scan3d.cloud import Cloud, LeftOut, NormalSource
 from scan3d.errors import InputError
@@ -34,7 +33,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import FORCE_SIGMAS, Recording, followed, of_rows
+from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, Recording, followed, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M

@@ -46,8 +46,7 @@ from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull
-from scan3d.geometry.polytopes import clipped, cut_polytope, plane_faces
+from scan3d.geometry.hulls import clipped, cut_polytope, hull, plane_faces
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among
 from scan3d.reconstruction.slices import SliceStack, stacks

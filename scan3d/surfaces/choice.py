@@ -17,8 +17,7 @@ from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull, offset_inwards
-from scan3d.geometry.polytopes import clipped
+from scan3d.geometry.hulls import clipped, hull, offset_inwards
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.numbers import length

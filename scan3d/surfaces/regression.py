@@ -24,8 +24,7 @@ from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mas
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull
-from scan3d.geometry.polytopes import cut_polytope
+from scan3d.geometry.hulls import cut_polytope, hull
 from scan3d.reconstruction.slices import stacks
 
 # Decrease of the sum of squared misfits for which a plane is added, and below which it is left out. Its three parameters alone
