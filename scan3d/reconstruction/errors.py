@@ -32,6 +32,9 @@ _TIP_SIGMAS = 5.0
 _LIGHT, _TOLERABLE = 4.0, 1e-3
 # Part of a standard deviation by which the rig is changed in central differences: between their error and rounding.
 _STEP = 1e-2
+# Standard deviations by which a reaction is changed: about as many as all contacts stay within at once, so that what is not
+# linear in the error of a wrench is part of its effect.
+_FAR = 4.0
 # Which reactions each model reads, of the six.
 _REACTIONS = {"planar": (0, 1, 5), "spatial": tuple(range(6))}
 RIGHT_ROWS = 0.05
@@ -116,31 +119,36 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
     (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
-    errors = [(component, np.zeros(6)) for component in recording.rig.components().T]
+    exact, right = np.zeros(len(RIG_QUANTITIES)), np.zeros(6)
+    errors = [(_STEP, component, right) for component in recording.rig.components().T]
     size = np.zeros((len(rows), 1))
     if relative := recording.rig.relative:
         size = _size(recording, rows)[:, None]
-        errors += [(np.zeros(len(RIG_QUANTITIES)), relative * np.eye(6)[k]) for k in _REACTIONS[model]]
-    for component, of_wrench in errors:
-        sides = (
-            _contacts(
-                recording,
-                rows,
-                (force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]),
-                noise,
-                step * component,
-            )
-            for step in (_STEP, -_STEP)
-        )
+        errors += [(_FAR, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
+
+    def changed(step: float, component: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
+        wrench = force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]
+        return _contacts(recording, rows, wrench, noise, step * component)
+
+    middle = changed(0.0, exact, right)
+    for step, component, of_wrench in errors:
+        sides = changed(step, component, of_wrench), changed(-step, component, of_wrench)
         with np.errstate(invalid="ignore"):
-            for column, one, other in zip(moved, *sides, strict=True):
-                column.append((one - other) / (2 * _STEP))
+            for column, one, between, other in zip(moved, sides[0], middle, sides[1], strict=True):
+                column.append(_larger(one - between, between - other) / step)
     place, tangent, s1 = (
         np.stack(column, axis=-1) if column else np.zeros((len(rows), *shape, 0))
         for column, shape in zip(moved, ((3,), (3,), ()), strict=True)
     )
     place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in (place, tangent))
     return Effects(place, tangent, s1)
+
+
+def _larger(one: Array, other: Array) -> Array:
+    """(n,) or (n, 3): the larger one of two changes in each row; NaN where either is."""
+    squares = ((part**2).reshape(len(part), -1).sum(axis=1) for part in (one, other))
+    larger = np.greater(*squares).reshape(-1, *[1] * (one.ndim - 1))
+    return np.asarray(np.where(larger, one, other) + 0 * one)
 
 
 def _size(recording: Recording, rows: Index) -> Array:

@@ -44,9 +44,10 @@ from scan3d.reconstruction.misfits import ROUNDING, depths_in_hull
 from scan3d.recording import Recording
 from scan3d.rigs import with_relative
 
-LARGEST = 0.005
-"""Largest relative error that is allowed for; errors of the second order, of the size of its square times the square of the
-factor, are not.  A recording with a larger one contradicts the model."""
+LARGEST = 0.01
+"""Largest relative error that is allowed for.  A recording with a larger one contradicts the model."""
+# A relative error so small that its effect is linear.
+_UNIT = 1e-5
 # Probability that noise alone shows an error, so that bounds are wider than they need be.
 _DOUBT = 0.05
 # Successive contacts over which a mean is taken, and the most that one mean counts: that of three standard deviations.
@@ -69,7 +70,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     there is no friction.  If the body proves smooth, all normals come from the support function fitted to all contacts.
     Points lie inside the rod's centre line by its radius, along the normals, in the plane as in space.
     Where opposed sweeps over the same place contradict each other, the contacts are those with the relative error of the wrench
-    that explains it, of at most 0.5 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
+    that explains it, of at most 1 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
     how much deeper noisy contacts lie in the hull of all than their noise explains, which widens the bounds.
     Raises InputError if the recording has no contact, or not the axes that the model needs, and ValueError for an unknown
     method.
@@ -235,7 +236,7 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
         total, count = total + float(np.minimum(square, _ONE_MEAN).sum()), count + len(square)
     if not count or total <= chdtri(count, _DOUBT):
         return 0.0, 0.0
-    of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, LARGEST)))
+    of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, _UNIT)))
     unit, cloud = of_unit.calibration, cloud.select(np.isin(cloud.row, of_unit.row))
     assert unit is not None
     by_all, expected, worst, hidden = 0.0, 0.0, 0.0, 0.0
@@ -248,7 +249,7 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
         expected += float(means.over_noise(np.sqrt(compared.variance(error))).sum())
     # an error that changes no mean explains none
     by_means = np.sqrt(max(by_all, 0.0) / expected) if expected else np.inf
-    return LARGEST * max(float(by_means), worst), LARGEST * hidden
+    return _UNIT * max(float(by_means), worst), _UNIT * hidden
 
 
 # --- rows that contradict the rest ---
