@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scan3d.arrays import SOME, Array, Index, weighted_quantiles
 from scan3d.geometry.convexity import CONVEX_DEPTH
@@ -89,10 +91,25 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     return _compared(*_prepared(surface, mesh))
 
 
-def compare_with_points(surface: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh) -> tuple[Comparison, Array]:
-    """`compare` of a surface with a mesh, and the distances (n,) of points (n, 3) from the mesh, which is prepared once."""
+def compare_with_points(
+    surface: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh, within: float = 0.0
+) -> tuple[Comparison, Array, Mapping[str, float]]:
+    """`compare` of a surface with a mesh, the distances (n,) of points (n, 3) from the mesh, and what was reached of it.
+
+    That is the share of the mesh's area no farther than `within` from a point and not facing away from it, as the other side of
+    a thin wall does, and how far the surface is from it there: at most, by 20 000 places, and in the mean.
+    """
     prepared = bodies, centre, scale, _ = _prepared(surface, mesh)
-    return _compared(*prepared), bodies[1].search.nearest((points - centre) / scale)[0] * scale
+    points, reached = (points - centre) / scale, {}
+    error, face = bodies[1].search.nearest(points)
+    if within:
+        places, normals = _spread(bodies[1].corners), bodies[1].normals
+        distance, nearest = cKDTree(points).query(places.points)
+        near = (distance <= within / scale) & (dot(normals[face[nearest]], normals[places.faces]) > -1e-6)
+        off, weight = bodies[0].search.nearest(places.points[near])[0] * scale, places.weights[near]
+        total = float(weight.sum())
+        reached = {"share": total, "max": off.max(initial=0.0), "mean": float((weight * off).sum()) / (total or 1.0)}
+    return _compared(*prepared), error * scale, reached
 
 
 def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: float) -> Comparison:

@@ -250,7 +250,8 @@ def analyse(
 
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
-    comparison, contact_error = compare_with_points(analysis.surface, analysis.cloud.points, truth)
+    within = 0.0 if analysis.carved is None else analysis.carved.apart
+    comparison, contact_error, reached = compare_with_points(analysis.surface, analysis.cloud.points, truth, within)
     itself = mesh_itself(truth)
     return replace(
         analysis,
@@ -259,6 +260,7 @@ def _compared(analysis: Analysis, truth: Any) -> Analysis:
         mesh_comparison=None if itself is None else compare(analysis.surface, itself),
         contact_error=contact_error,
         comparison=comparison,
+        reached=reached,
     )
 
 

@@ -58,6 +58,8 @@ class Analysis:
     """(n,) distance of the contacts from the truth."""
     comparison: Comparison | None = None
     """Comparison of the surface with the truth."""
+    reached: Mapping[str, float] = field(default_factory=dict)
+    """Of a body that is not convex the `share` of the truth's area near contacts, and `max` and `mean` distance there."""
     mesh_comparison: Comparison | None = None
     """Comparison of the surface with the mesh itself, where the truth is the convex hull of a mesh that is not convex."""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -264,6 +266,7 @@ def _hausdorff(analysis: Analysis, unit: str) -> dict[str, Any] | None:
         "unit": unit,
         "to": _scanned(analysis.truth),
         "mesh_itself": None if to_mesh is None else _distances(to_mesh),
+        **({"reached": dict(analysis.reached)} if analysis.reached else {}),
     }
 
 
@@ -440,6 +443,11 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
         if hausdorff.get("mesh_itself"):
             rows.append(("to the mesh itself", _distance(hausdorff["mesh_itself"], hausdorff["unit"])))
+        if near := hausdorff.get("reached"):
+            worst, mean = (length(near[name], hausdorff["unit"]) for name in ("max", "mean"))
+            part = share(near["max"] / data["comparison"]["diagonal"])
+            over = f"{mean} in the mean, over {share(near['share'])} of the area"
+            rows.append(("where touched", f"{worst} at most ({part} of the diagonal), {over}"))
     certified = data["certificate"]
     measured = next((one for one in data.get("measurands", ()) if one["quantity"] == "volume"), None)
     low, high = measured["interval"] if measured and not data["warnings"] else (None, None)

@@ -35,9 +35,19 @@ def test_units_do_not_matter(pair, scale):
 def test_a_comparison_of_a_surface_and_points_is_that_of_each_alone():
     mesh, surface = ball(3), moved(ball(2), (0.1, 0.2, 0.3))
     points = np.random.default_rng(0).normal(size=(500, 3))
-    both, of_points = compare_with_points(surface, points, mesh)
+    both, of_points, reached = compare_with_points(surface, points, mesh)
     assert str(both) == str(compare(surface, mesh))
     assert of_points == pytest.approx(distances(points, mesh), abs=1e-14 * mesh.scale)
+    assert not reached
+
+
+@pytest.mark.parametrize(("within", "share"), [(0.6, 0.09), (3.0, 0.5)])
+def test_what_was_reached_of_a_sphere(within, share):
+    """Archimedes: a cap of the unit sphere within d of its pole has d²/4 of its area; half of the sphere faces away."""
+    inner, outer = (trimesh.creation.icosphere(5, radius) for radius in (0.9, 1.0))
+    reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), outer, within)[2]
+    assert reached["share"] == pytest.approx(share, rel=2e-2)
+    assert [reached["mean"], reached["max"]] == pytest.approx([0.1, 0.1], abs=2e-3)
 
 
 def test_place_and_attitude_do_not_matter():

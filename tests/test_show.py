@@ -120,7 +120,7 @@ def test_the_window(spatial):
         built.switch("rods", True)
         assert built.layers["rods"][0].GetVisibility()
         for color in ("bending" if spatial else "phase", "force"):
-            assert np.array_equal(built.contacts["rgb"], parts.shade_contacts(scene, color).rgb)
+            assert np.array_equal(built.contacts["rgb"], parts.shade_contacts(scene, color, parts.ON_DEVIATION).rgb)
             built.paint("force")
         built.pick(scene.points[17])
         built.pick(scene.points[17] + 100.0)

@@ -260,7 +260,7 @@ class Window:
             sweep = parts.shown_sweep(scene)
             self.layers["rods"] = canvas.add_rods(sweep, evenly(np.arange(len(sweep.base)), 9))
         self._add_buttons(color)
-        canvas.aim(*_SIZE)
+        canvas.aim(*_SIZE, 0.8)  # between the buttons and the bar
         canvas.plotter.enable_point_picking(self.pick, show_message=False, left_clicking=True, show_point=False)
 
     def _add_buttons(self, color: str) -> None:
@@ -294,10 +294,12 @@ class Window:
 
     def paint(self, color: str) -> None:
         """Colour the contacts by one of `COLORS`."""
-        shaded = parts.shade_contacts(self.scene, color)
+        shaded = parts.shade_contacts(self.scene, color, parts.ON_DEVIATION)
         self.contacts["rgb"] = shaded.rgb
         norm, (low, high) = shaded.norm, ("blue", "red") if color == "bending" else ("dark", "light")
-        scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} ({low}) to {norm.vmax:.3g} ({high})"
+        scale = "tangential black, tip yellow"
+        if norm is not None:
+            scale = f"{norm.vmin:.3g} ({low}) to {norm.vmax:.3g} ({high})"
         self.plotter.add_text(
             f"{shaded.title}: {scale}", position="lower_right", font_size=_FONT, color=parts.INK, name="colour"
         )
@@ -313,14 +315,18 @@ class Window:
 def _color_bar(plotter: Any, shaded: parts.Shade) -> None:
     import pyvista
 
-    if shaded.norm is None:
-        plotter.add_legend(
-            [*map(list, shaded.kinds)], bcolor=None, face="rectangle", loc="center right", size=(0.12, 0.12)
-        )
-        return
-    mapper = pyvista.DataSetMapper()
-    mapper.lookup_table = pyvista.LookupTable(shaded.map, scalar_range=(shaded.norm.vmin, shaded.norm.vmax))
-    plotter.add_scalar_bar(
-        shaded.title, mapper=mapper, vertical=True, position_x=0.88, position_y=0.25, width=0.06, height=0.5,
-        fmt="%.3g", color=parts.INK, title_font_size=16, label_font_size=14,
+    mapper, kinds = pyvista.DataSetMapper(), shaded.kinds
+    # a legend of VTK would write the words in their colours, and pale ones cannot be read
+    names = {number + 0.5: name for number, (name, _) in enumerate(reversed(kinds))}
+    colors, ends = (
+        [color for _, color in reversed(kinds)],
+        (0, len(kinds)) if kinds else (shaded.norm.vmin, shaded.norm.vmax),
+    )
+    mapper.lookup_table = pyvista.LookupTable(
+        colors or shaded.map, len(kinds) or 256, scalar_range=ends, annotations=names
+    )
+    bar = plotter.add_scalar_bar(
+        shaded.title, mapper=mapper, vertical=True, position_x=0.86, position_y=0.25, width=0.06, height=0.5,
+        fmt="%.3g", color=parts.INK, title_font_size=16, label_font_size=14, n_labels=0 if kinds else 5,
     )  # fmt: skip
+    bar.SetTextPosition(not kinds)  # away from the body: numbers after the bar, and names opposite to where numbers are

@@ -58,6 +58,8 @@ class Carved:
     """(v,) class of each vertex: 2 known, 1 estimated, 0 unknown."""
     contours_bound: float
     """In the planes of the slices every point of the outer contours lies within it of the true contour (C16)."""
+    apart: float
+    """Distance of neighbouring slices, within which of a contact the body counts as reached; the largest of all axes."""
     coverage: dict[str, Any]
     """``known``, ``estimated``: shares of the area; ``unknown``: patches ``{center, area, extent}``, largest first."""
 
@@ -87,7 +89,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
     known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, apart)
     surface.vertex_attributes["known"] = known
-    return Carved(surface, known, float(contours.distance.max(initial=0.0)), _coverage(surface, known))
+    return Carved(surface, known, float(contours.distance.max(initial=0.0)), apart, _coverage(surface, known))
 
 
 def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Array:
