@@ -25,15 +25,14 @@ in a clamp that gives.
 from planar.any_body import SweepStatus
 from planar.channels import Completed, complete, complete_by_moment, touched_at
 from planar.contours import Circle, Contour, Contours, Curve, Ellipse, Polygon
-from planar.crossings import passed
 from planar.hidden import (
     Recovered,
     constant_friction_angle,
     corners,
     first_contacts,
+    passed,
     recover,
     recover_at_tip,
-    refuse_second_contacts,
     second_contacts,
 )
 from planar.landmarks import ElasticLines, EventKind, Events, elastic_lines, events
@@ -78,7 +77,6 @@ __all__ = [
     "reconstruct",
     "recover",
     "recover_at_tip",
-    "refuse_second_contacts",
     "second_contacts",
     "sweep",
     "sweep_all",

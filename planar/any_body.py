@@ -23,27 +23,18 @@ from numpy.typing import NDArray
 
 from planar import settling
 from planar.arrays import Array, Index, Mask, ratio
-from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
+from planar.plots import Explained
 from planar.several import MOST, Rods, free_rods, shapes, solve
-from planar.singles import JUMP, Singles, Start
-from planar.tables import Explained
+from planar.singles import INSIDE, JUMP, Singles, Start
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
 # across a fold, which the chain in its coarseness must see.
 _STEP, _FOLD, _ACROSS = 0.02, 2e-5, 5e-4
-# By what a step becomes smaller that fails.
-_SHRINKS = 16
 # Arc lengths at which a rod is tested, intervals into which the least gap is divided at a time, and how often.
 _TESTED, _ZOOM, _ZOOMS = 129, 8, 6
 # Slip of a contact, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
 _SLIPS, _ROUNDING = 1e-9, 1e-10
-# Changes of the contacts at one base position.
-_CHANGES = 8
-# Sweeps that are stepped for each that waits for the tables.
-_TOGETHER = 4
-# Distance between the chain that came to rest and the rod, in rod lengths, at which they are the same equilibrium.
-_SAME = 0.05
 
 
 class SweepStatus(Explained):
@@ -77,8 +68,8 @@ def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array])
     sweeps = _Sweeps(outlines, [base for base, _ in dense], angles)
     while sweeps.left():
         sweeps.leap()
-        # steps of few sweeps take as long as those of many
-        while len(sweeps.going) > _TOGETHER * sweeps.left():
+        # steps of few sweeps take as long as those of many: four are stepped for each that waits for the tables
+        while len(sweeps.going) > 4 * sweeps.left():
             sweeps.step()
     return [
         Followed(rods.rows(rows), status[rows])
@@ -219,7 +210,7 @@ class _Sweeps:
         trial.put(settled, part)
         moved = np.hypot(*(reached - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
         good &= ~(moved > JUMP + 3 * (before.x0 - trial.x0))
-        self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / _SHRINKS)
+        self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / 16)
         folds = np.flatnonzero(~good & ~lost & (self.stride[rows] < _FOLD))
         if len(folds):
             good[folds], part, reached[folds] = self._around_corners(rows[folds], aim[folds], zeta[folds])
@@ -297,7 +288,7 @@ class _Sweeps:
         good, points = np.zeros(m, dtype=bool), np.full((m, _TESTED, 2), np.nan)
         flipped = np.zeros((m, MOST), dtype=bool)
         pending = np.arange(m)
-        for _ in range(_CHANGES):
+        for _ in range(8):  # more changes of the contacts at one base position lead round in circles
             part = rods.rows(pending)
             found = solve(self.outlines, part)
             rods.put(pending, part)
@@ -475,7 +466,8 @@ class _Sweeps:
                 if rods is None:
                     continue
                 good, points = self._admissible(body, rods, np.array([zeta]), None)
-                if good[0] and np.hypot(*(points[0] - along).T).max() < _SAME:
+                # the chain that came to rest is coarse
+                if good[0] and np.hypot(*(points[0] - along).T).max() < 0.05:
                     return rods, points[0], None
         return free_rods(np.array([x0])), along, settled.angles
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, checked_reactions
-from planar.inverses import solve
+from planar.march import solve
 from planar.rods import Rod
 from planar.uncertainty import jacobian
 
@@ -193,10 +193,6 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
 
 # Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
 _FOLLOWED, _STEPS = 1e-11, 20
-# Places along a rod between which that of a touch is interpolated, to 1e-9 rod lengths.
-_PLACES = 8193
-# The push at the begin of a sweep ends where the moment is this many times that of its first row.
-_PUSH = 3.0
 # Slope of the rod at the contact, in radians, up to which a row is one of the begin: from there on pushes tell wrong places.
 _BENT = 0.2
 # Arc length from which on the contact may be one of the tip, which pushes by large steps place up to 0.05 before it.
@@ -419,7 +415,8 @@ def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
     rod = Rod() if rod is None else rod
     if rod.curvature or rod.weight:
         raise ValueError("a single touch is located along a straight rod without weight; sweep a rod with either")
-    ends = np.union1d(np.linspace(0.0, 1.0, _PLACES), rod.profile.knots)
+    # between so many places that of a touch is interpolated to 1e-9 rod lengths
+    ends = np.union1d(np.linspace(0.0, 1.0, 8193), rod.profile.knots)
     nodes, weights = np.polynomial.legendre.leggauss(4)
     half, s = np.diff(ends) / 2, ends[1:]
     at = ends[:-1, None] + half[:, None] * (1 + nodes)
@@ -441,7 +438,8 @@ def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | Non
     """
     if len(moment) < 3:
         return np.nan, np.nan
-    last = int(np.argmax(np.append(moment >= _PUSH * moment[0], True)))
+    # the push at the begin of a sweep ends where the moment has grown so far
+    last = int(np.argmax(np.append(moment >= 3.0 * moment[0], True)))
     last = min(max(last, 2), len(moment) - 1)
     rows = np.array([last, (last + 1) // 2])
     way = np.abs((frames.place[rows] - frames.place[0]) @ frames.axes[last, 0])

@@ -22,11 +22,6 @@ from planar.arrays import ROUNDING, Array
 from planar.loops import Loop, Outlines, crosses_itself, ellipse_loop, polygon_loop, spline_loop
 from planar.paths import Path, polygon_paths, smooth_path
 
-# Steps of the iterations for a foot point, until its error is rounding.
-_FOOT_POINT_STEPS = 60
-# Pairs of points and edges whose distances are computed at once, which limits the memory.
-_PAIRS_AT_ONCE = 2_000_000
-
 
 class Contour(ABC):
     """A contour in the plane, in rod lengths."""
@@ -108,7 +103,7 @@ class Ellipse(SmoothContour):
         a, b = self.semi_axes
         # Foot point (a cos θ, b sin θ): alternating between the foot and the centre of curvature there converges fast.
         u, v = np.full_like(x, np.sqrt(0.5)), np.full_like(x, np.sqrt(0.5))
-        for _ in range(_FOOT_POINT_STEPS):
+        for _ in range(60):  # until the error is rounding
             ex, ey = (a * a - b * b) * u**3 / a, (b * b - a * a) * v**3 / b
             scale = np.hypot(a * u - ex, b * v - ey) / np.maximum(np.hypot(x - ex, y - ey), np.finfo(float).tiny)
             u = np.clip(((x - ex) * scale + ex) / a, 0.0, 1.0)
@@ -179,7 +174,7 @@ class Polygon(Contour):
         edges = np.roll(self.vertices, -1, axis=0) - self.vertices
         squared = (edges**2).sum(axis=1)
         nearest = np.empty(len(points))
-        rows = max(1, _PAIRS_AT_ONCE // len(edges))
+        rows = max(1, 2_000_000 // len(edges))  # more pairs at once would take too much memory
         for start in range(0, len(points), rows):
             offset = points[start : start + rows, None] - self.vertices
             along = np.clip((offset * edges).sum(axis=-1) / squared, 0.0, 1.0)

@@ -29,9 +29,6 @@ from planar.arrays import Array
 
 # Duplications, each of which brings the arguments of Carlson's integrals four times closer together.
 _DUPLICATIONS = 5
-# Distance of the largest argument from the mean, as a fraction of the mean, beyond which the truncation of the series of 7th
-# order exceeds rounding: these few moduli, near 1, are left to scipy's functions, which take three times as long.
-_SERIES_REACH = 0.02
 
 
 class Shape(NamedTuple):
@@ -151,7 +148,9 @@ def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         series += 1
         series += e3 * (1 / 14 + 3 / 104 * e3 + e2 * (-3 / 44 + e2 / 16))
         rf = scale * series / np.sqrt(mean)
-        distant = dz < -_SERIES_REACH
+        # so far from the mean the truncation of the series of 7th order exceeds rounding: these few moduli, near 1, are
+        # left to scipy's functions, which take three times as long
+        distant = dz < -0.02
 
         # the differences to R_D's mean (x + y + 3z)/5; the series' part of R_D is about 4^-5, so that the 6th order
         # suffices

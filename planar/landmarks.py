@@ -17,7 +17,7 @@ from planar.contours import Contour, check_contour, mirrored
 from planar.elastica import bend
 from planar.paths import Path
 from planar.pieces import piece
-from planar.tables import Explained, to_frame, words
+from planar.plots import Explained, to_frame, words
 
 if TYPE_CHECKING:
     import pandas

@@ -19,8 +19,6 @@ from planar.arrays import ROUNDING, Array, Index, Mask, ratio
 
 # Points on each loop by which the nearest piece is found, and how many of the nearest are asked for theirs.
 _POINTS, _NEAREST = 1200, 6
-# Steps of Newton's iteration for the foot point on a curve.
-_FOOT_STEPS = 8
 # Distance in the third dimension that keeps the planes of bodies apart in one tree.
 _APART = 1e3
 
@@ -199,7 +197,7 @@ class Outlines:
         row, column = np.nonzero(~repeated)
         piece, u = piece[row, column], u[row, column]
         target = points[row]
-        for _ in range(_FOOT_STEPS):
+        for _ in range(8):  # steps of Newton's iteration
             place = self.at(piece, u)
             offset = target - place.point
             along = (offset * place.derivative).sum(axis=1)

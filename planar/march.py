@@ -13,6 +13,19 @@ inflection before it are not looked for.  Friction does not enter: reconstructio
 All rods take the same fixed steps of the explicit Runge-Kutta method of order 8 of Dormand and Prince (E. Hairer, S. P.
 Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993), shorter where the rod is thinner; no step crosses a
 knot of the rod's table.  The tangent ``cos φ, sin φ`` is marched in the place of its angle.
+
+The methods of step 2 lead from the reactions of a rod to the place of its contact.
+
+``closed-form``
+    The elastica in closed form (`planar.elastica`) with ``q = m0z / (2 √f)``.  Friction changes the direction of the force,
+    which is measured: the contact does not depend on friction otherwise.  Rods that are arcs of circles have a closed form as
+    well; all others are marched.
+``scholz-rahn``
+    Numerical integration of (3) up to the contact (G. R. Scholz, C. D. Rahn, "Profile sensing with an actuated whisker",
+    2004), in the steps of the march.  Friction invariant as well; the reference of the closed forms.
+``will``
+    Equation (10) (C. Will, "Continuum models for biologically inspired tactile sensors", 2018), clipped to 1.  It assumes a
+    rod tangential to the force at its contact, which holds for ``μ = 0`` only.
 """
 
 from __future__ import annotations
@@ -27,7 +40,9 @@ import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index
+from planar import march
+from planar.arrays import Array, Index, Mask
+from planar.elastica import bend, bend_by_half_angle, integrals, partial_shape, tangential_q
 from planar.rods import Profile, Rod
 
 # Rows that are marched at once: their stages stay in the processor's cache.
@@ -35,12 +50,6 @@ _BLOCK = 1024
 # Steps along the rod to start with, by what they grow, the most, and the difference of two runs, in rod lengths, at which
 # they suffice.
 STEPS, _GROWTH, _MOST_STEPS, _AGREED = 8, 1.5, 256, 1e-10
-# Rows by which the number of steps is chosen.
-_TRIED = 32
-# What the tangent's length may deviate from 1: steps that turn the rod by more than they can follow spoil it.
-_UNIT = 1e-3
-# Arc length up to which a contact past the tip is sought.
-_LONGEST = 1.5
 # Slopes of the tip, and arc lengths, at which the moment of the overhang is tabulated.
 _TIP_SLOPES, _LENGTHS = 96, 33
 
@@ -87,7 +96,8 @@ def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
     `march` gives places of rows by a number of steps.
     """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
-    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), _TRIED).astype(np.intp))] if len(order) else order
+    # some rows of all sizes tell how many steps are enough
+    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), 32).astype(np.intp))] if len(order) else order
     steps, last = STEPS, march(rows, STEPS)
     while steps < _MOST_STEPS:
         more = round(_GROWTH * steps)
@@ -140,8 +150,8 @@ def crossings(
 def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     """`contacts` by a given number of steps; force (2, n)."""
     hangs = overhang(rod)
-    # past the tip the rod goes on with the stiffness there and without weight
-    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
+    # past the tip the rod goes on for half its length, with the stiffness there and without weight
+    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, 1.5, steps + 1)[1:])
     with np.errstate(all="ignore"):
         state = started(rod, np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
         unknown = np.full((4, len(moment)), np.nan)
@@ -186,7 +196,8 @@ def _refine(
         change = -excess(hangs, start + part, state) / _across(state)
         part = part + change
     cosine, sine, moment, x, y = state[:5]
-    lost = np.abs(cosine * cosine + sine * sine - 1) > _UNIT
+    # steps that turn the rod by more than they can follow spoil the length of its tangent
+    lost = np.abs(cosine * cosine + sine * sine - 1) > 1e-3
     part[lost] = change[lost] = np.nan
     curvature = moment / rod.profile.bending_stiffness(start + part) + rod.curvature
     phi, turn = np.arctan2(sine, cosine), curvature * change
@@ -307,3 +318,120 @@ def along(
         return found
 
     return numbers
+
+
+METHODS = ("closed-form", "scholz-rahn", "will")
+
+
+class Solved(NamedTuple):
+    """Contacts (n,) on rods that a sweep in -x bends; lengths in rod lengths, angles in radians."""
+
+    force: Array
+    """Size f of the contact force on the rod."""
+    alpha: Array
+    """Its direction (9)."""
+    s1: Array
+    x: Array
+    """Relative to the clamp."""
+    y: Array
+    beta: Array
+    """β (12), the angle between the rod's normal at the contact and the force."""
+    wrong_side: Mask
+    """Where the moment is that of a rod bent against the sweep."""
+    no_rod: Mask
+    """Where no rod has these reactions."""
+    undefined: Mask
+    """Where the method does not have a solution."""
+
+
+def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is."""
+    if method == "scholz-rahn" or not rod.is_uniform:
+        return _marched(rod, f0x, f0y, m0z)
+    if rod.curvature:
+        return _arc(rod, f0x, f0y, m0z)
+    force, s, c = _polar(f0x, f0y)
+    root_f = np.sqrt(force)
+    q = m0z / (2 * root_f)
+    square = q * q
+    m, complement = s * s + square, c * c - square
+    beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
+    exists = (complement >= 0) & (q > 0)
+    alpha = 2 * np.arctan2(s, c)
+    q = q if exists.all() else np.where(exists, q, np.nan)
+    undefined = np.zeros(len(q), dtype=bool)
+    if method == "will":
+        s1, x, y, undefined = _will(alpha, q, root_f)
+    else:
+        shape, _, _ = bend_by_half_angle(s, c, q)
+        s1, x, y = shape.length / root_f, shape.x / root_f, shape.y / root_f
+    return Solved(force, alpha, s1, x, y, beta, m0z <= 0, complement < 0, undefined)
+
+
+def _will(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, Mask]:
+    # ERRATUM: (10) as printed has α̃ in its integrand; it stands for α.  The integral is that of a frictionless rod.
+    undefined = np.abs(alpha) > np.pi / 2
+    frictionless = bend(alpha, np.where(undefined, np.nan, tangential_q(alpha, np.zeros(len(alpha)))))
+    s1 = np.minimum(frictionless.length / root_f, 1.0)
+    # the point at s1 of the rod that the reactions bend
+    shape = bend(alpha, q)
+    x, y = partial_shape(alpha, q, shape.length - s1 * root_f)
+    return s1, (shape.x - x) / root_f, (shape.y - y) / root_f, undefined
+
+
+def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    """Arcs of circles: (3) holds for the whole curvature, which is ``κ̂ - m0z`` at the clamp and ``κ̂`` at the contact.
+
+    With the amplitude u of Legendre's form, ``κ = -2k √f cos u``.  Rods with ``k >= 1``, strongly curved ones under small
+    forces, have none and are marched.
+    """
+    force, s, c = _polar(f0x, f0y)
+    root_f, alpha = np.sqrt(force), 2 * np.arctan2(s, c)
+    q = (m0z - rod.curvature) / (2 * root_f)
+    m = s * s + q * q
+    k = np.sqrt(m)
+    cosine = -rod.curvature / (2 * k * root_f)
+    start, end = np.arctan2(s, q), np.arccos(cosine)
+    (first, second), (begun, passed) = integrals(end, m), integrals(start, m)
+    length = first - begun
+    along = 2 * (second - passed) - length
+    across = 2 * k * (np.cos(start) - cosine)
+    x, y = across * np.cos(alpha) - along * np.sin(alpha), across * np.sin(alpha) + along * np.cos(alpha)
+    beta = 2 * np.arcsin(k * np.sin(end)) - np.pi / 2
+    nowhere = np.zeros(len(q), dtype=bool)
+    wrong_side = m0z <= 0
+    no_rod = (np.abs(cosine) > 1) & (m < 1)
+    solved = Solved(force, alpha, length / root_f, x / root_f, y / root_f, beta, wrong_side, no_rod, nowhere)
+    rows = np.flatnonzero(m >= 1)
+    if len(rows):
+        for column, values in zip(solved, _marched(rod, f0x[rows], f0y[rows], m0z[rows]), strict=True):
+            column[rows] = values
+    return solved
+
+
+def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    carried = np.stack([f0x, f0y]) + rod.pull
+    force, s, c = _polar(*carried)
+    found = march.contacts(rod, -carried, -m0z)
+    alpha = 2 * np.arctan2(s, c)
+    beta = np.remainder(alpha - found.slope + np.pi, 2 * np.pi) - np.pi
+    undefined = np.zeros(len(alpha), dtype=bool)
+    return Solved(force, alpha, found.s1, found.x, found.y, beta, found.start >= 0, np.isnan(found.s1), undefined)
+
+
+def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:
+    """Size f of the contact force, sine and cosine of ``α/2``, from ``sin α = -f0x/f`` and ``cos α = f0y/f`` (9).
+
+    By algebra, in a tenth of the time of hypot, sin and cos; ``cos α/2 >= 0``.
+    """
+    across, along = np.abs(fx), np.abs(fy)
+    largest = np.maximum(across, along)
+    across, along = across / largest, along / largest  # no overflow, no underflow
+    size = np.sqrt(across * across + along * along)
+    larger = np.sqrt((size + along) / (2 * size))
+    smaller = across / (2 * size * larger)
+    forward = fy >= 0
+    s, c = smaller, larger
+    if not forward.all():
+        s, c = np.where(forward, smaller, larger), np.where(forward, larger, smaller)
+    return largest * size, np.copysign(s, -fx), c

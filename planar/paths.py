@@ -21,8 +21,6 @@ from planar.arrays import ROUNDING, Array, Index
 # which the second would be missed.
 _LONGEST_PIECE = 0.05
 _WIDEST_PIECE = np.radians(4.0)
-# Pieces of a smooth contour at which the refinement ends, on contours of more than some thousand rod lengths.
-_MAX_PIECES = 100_000
 
 
 class SmoothCurve(Protocol):
@@ -89,7 +87,8 @@ def smooth_path(curve: SmoothCurve) -> Path:
     while True:
         chord = np.linalg.norm(np.diff(curve.points(slope), axis=0), axis=1)
         long = chord > _LONGEST_PIECE
-        if not long.any() or len(slope) > _MAX_PIECES:
+        # contours of more than some thousand rod lengths have so many pieces
+        if not long.any() or len(slope) > 100_000:
             break
         middle = (slope[:-1] + slope[1:]) / 2
         slope = np.sort(np.concatenate([slope, middle[long]]))[::-1]
@@ -107,7 +106,11 @@ def polygon_paths(polygons: Sequence[Array]) -> Path:
     Each polygon is given by its vertices (n, 2): convex, counter-clockwise, without collinear triples.  Raises ValueError if
     one of them lies outside the rod's reach.
     """
-    pieces = [_polygon_pieces(vertices) for vertices in polygons]
+    pieces = []
+    for vertices in polygons:
+        check_height(vertices[:, 1].min())
+        # those on the lower side, within reach and short enough
+        pieces.append(_Pieces(*subdivided(*_within_reach(_lower_side(vertices)))[0]))
     offsets = np.cumsum([0] + [len(polygon.slope) for polygon in pieces])
     joined = _Pieces(*(np.concatenate(columns) for columns in zip(*pieces, strict=True)))
     return Path(joined.slope, joined.turn, joined.point, joined.move, offsets)
@@ -120,12 +123,6 @@ class _Pieces(NamedTuple):
     turn: Array
     point: Array
     move: Array
-
-
-def _polygon_pieces(vertices: Array) -> _Pieces:
-    """The pieces on the lower side of a counter-clockwise convex polygon, within reach and short enough."""
-    check_height(vertices[:, 1].min())
-    return _Pieces(*subdivided(*_within_reach(_lower_side(vertices)))[0])
 
 
 def _lower_side(vertices: Array) -> _Pieces:

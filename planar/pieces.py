@@ -19,8 +19,6 @@ from planar.arrays import Array
 
 # Force, and inverse modulus, below which (C5) and (C4) lose more digits to cancellation than Gauss's rule has errors.
 _WEAK, _FAST = 1e-3, 0.02
-# Angle between rod and force up to which sine and angle agree to rounding: in (C3) ties and struts lose all digits of theirs.
-_IN_LINE = 5e-4
 # Modulus at which the means are one, and the least square of the complementary one.
 _SMALL, _SINGULAR = 1e-8, 1e-40
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
@@ -52,7 +50,8 @@ def piece(force_x: Array, force_y: Array, phi: Array, kappa: Array, length: Arra
 
     rest = _off_line(theta0)
     steep = np.sqrt(np.maximum(force, _WEAK))
-    line = (np.abs(rest) + np.abs(kappa0) / steep) * np.exp(np.minimum(steep * np.abs(s), 50.0)) < _IN_LINE
+    # where sine and angle agree to rounding: in (C3) ties and struts lose all digits of theirs
+    line = (np.abs(rest) + np.abs(kappa0) / steep) * np.exp(np.minimum(steep * np.abs(s), 50.0)) < 5e-4
     line &= force >= _WEAK
     swings = (energy <= force) & (energy > 0) & ~line
     turns = (energy > force) & ~line

@@ -1,7 +1,7 @@
 """Step 2: from the support reactions back to the contact.
 
 Force and moment at the clamp fix the bent rod: ``f``, ``α`` and ``κ0`` from (9); the contact is where the curvature
-vanishes.  The methods that find it are those of `planar.inverses`.
+vanishes.  The methods that find it are those of `planar.march`.
 
 Friction and normal come from (12)-(15): ``β = arcsin((m0z² - 2 f0y) / (2 f)) = arcsin(2k² - 1)`` equals the friction angle
 ``ζ`` in tangential contact (14); in tip contact only ``β < ζ`` follows.
@@ -9,7 +9,7 @@ Friction and normal come from (12)-(15): ``β = arcsin((m0z² - 2 f0y) / (2 f)) 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
 from planar.arrays import BLOCK, Array, Mask, Reactions, checked_reactions
-from planar.inverses import METHODS, solve
+from planar.march import METHODS, solve
+from planar.plots import Explained, counted, to_frame, words
 from planar.rods import Rod
 from planar.sweeping import Phase
-from planar.tables import Explained, counted, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
@@ -59,6 +59,8 @@ class NormalSource(IntEnum):
     """The coefficient of friction was given."""
 
 
+# What is not known where there is no contact.
+_VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope")
 _COLUMNS = ("s1", "force", "force_angle", "friction_angle_bound", "friction_angle", "friction", "slope")
 
 
@@ -84,6 +86,18 @@ class Contacts:
     """(n,) slope angle ``α̃ = α - ζ`` of the contour, in radians."""
     normal_source: NDArray[np.int8]
     """(n,) of `NormalSource`."""
+
+    def refused(self, rows: Mask, status: Status) -> Contacts:
+        """The contacts but those in some rows (n,), which have another status instead and are none."""
+        none = dict.fromkeys(_VALUES, np.nan) | {
+            "phase": Phase.NONE,
+            "normal_source": NormalSource.NONE,
+            "status": status,
+        }
+        columns = {name: getattr(self, name).copy() for name in none}
+        for name, value in none.items():
+            columns[name][rows] = value
+        return replace(self, **columns)
 
     def __len__(self) -> int:
         return len(self.s1)
@@ -286,19 +300,7 @@ def _fill(
             (Status.WRONG_SIDE, solved.wrong_side),
             (Status.NO_FORCE, ~present),
         ]
-        _mask(contacts, ~valid, reasons)
-
-
-def _mask(contacts: Contacts, invalid: Mask, reasons: list[tuple[Status, Mask]]) -> None:
-    """Give invalid rows the reason as their status and NaN as their values."""
-    for status, rows in reasons:
-        contacts.status[rows & invalid] = status
-    for column in (
-        contacts.point,
-        contacts.s1,
-        contacts.force,
-        contacts.force_angle,
-        contacts.friction_angle_bound,
-        contacts.slope,
-    ):
-        column[invalid] = np.nan
+        for status, rows in reasons:
+            contacts.status[rows & ~valid] = status
+        for name in _VALUES:
+            getattr(contacts, name)[~valid] = np.nan

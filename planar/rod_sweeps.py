@@ -17,19 +17,18 @@ from planar import equilibria, march
 from planar.arrays import Array, Index, Mask
 from planar.paths import Path
 from planar.rods import Rod
+from planar.segments import LEVELS
 
 # Steps along the rod for tables, and for samples.
 _COARSE, _FINE, _MOST_STEPS = 4, 8, 128
 # Change of a state by twice the steps, in rod lengths and radians, at which they suffice.
 _AGREED = 1e-10
-# Angles of friction at which the sweeps of a contour are tabulated, and tables that are made at once.
-_LEVELS, _TABLES = 3, 100
+# Tables that are made at once.
+_TABLES = 100
 # Residual, in rod lengths and radians, at which an equilibrium is found.
 _SOLVED = 1e-11
 # Iterations; one in three computes the derivatives anew.
 _ITERATIONS, _ANEW = 24, 3
-# Halvings of the intervals of a table in which a branch begins or ends, turns or changes its kind.
-_HALVINGS = 24
 
 
 class Course(NamedTuple):
@@ -207,7 +206,7 @@ def table(rod: Rod, sweeps: Course) -> Table:
     force = uniform.root_f**2 * _softness(rod, np.where(tangential, np.minimum(uniform.s1, 1.0), 1.0))
     start = Equilibria.near(place, tangential, force, np.where(tangential, uniform.s1, tip_slope))
     result = _from_touch_down(rod, _led_on(rod, Table(sweeps, owner, _of_either_kind(rod, course, start))))
-    for _ in range(_HALVINGS):
+    for _ in range(24):  # a piece of the path, halved so often, is as short as the accuracy of its ends
         result = _halved(rod, result)
     return result
 
@@ -371,10 +370,10 @@ class Tables(NamedTuple):
 
 def tables(rod: Rod, path: Path, lowest: Array, highest: Array) -> Tables:
     """The tables of contours (c,) of a path between angles of friction."""
-    count = np.where(highest > lowest, _LEVELS, 1)
+    count = np.where(highest > lowest, LEVELS, 1)
     owner = np.repeat(np.arange(len(count)), count)
     first = np.cumsum(count) - count
-    spacing = np.where(highest > lowest, highest - lowest, 1.0) / (_LEVELS - 1)
+    spacing = np.where(highest > lowest, highest - lowest, 1.0) / (LEVELS - 1)
     angle = lowest[owner] + (np.arange(len(owner)) - first[owner]) * spacing[owner]
     return Tables(table(rod, Course(path, owner, angle)), lowest, spacing, count, first)
 

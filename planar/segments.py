@@ -18,18 +18,19 @@ from planar.elastica import bend_with_slopes
 from planar.paths import Path
 
 _EPS = float(np.finfo(float).eps)
-# Roots are found to rounding.
-_TO_ROUNDING = dict(xatol=0.0, xrtol=4 * _EPS, fatol=0.0, frtol=0.0)
-# Rounding of x0, relative to the lengths that it is computed from, at which Newton's method ends.
-_X0_ROUNDING = 8 * _EPS
-# Steps of Newton's method before a sample goes on to bracketing.
-_NEWTON_STEPS = 8
-# Factor by which the bend q may at most shrink in a step of Newton's method, which is slow next to 0.
-_LARGEST_SHRINKAGE = 4
 # Parabolas through the overhang, and by how much each is narrower than the one before: an inexact minimum would overlook
 # short tangential contacts.
 _PARABOLAS = 4
 _NARROWING = 8
+
+
+LEVELS = 3
+"""Coefficients of friction at which a sweep with one per sample is tabulated; a sample is searched between two of them."""
+
+
+def levels(friction: Array) -> Array:
+    """Coefficients of friction, or their angles, between which those of the samples (n,) of a sweep lie."""
+    return np.unique(np.linspace(friction.min(), friction.max(), LEVELS)) if friction.size else np.zeros(1)
 
 
 class Segments(NamedTuple):
@@ -54,7 +55,8 @@ def _find_root(function: Callable[..., Array], interval: tuple[Array, Array], ar
     """Roots of many functions at once, to rounding, in intervals at whose ends the signs differ."""
     from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
 
-    return elementwise.find_root(function, interval, args=args, tolerances=_TO_ROUNDING)
+    tolerances = dict(xatol=0.0, xrtol=4 * _EPS, fatol=0.0, frtol=0.0)
+    return elementwise.find_root(function, interval, args=args, tolerances=tolerances)
 
 
 def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segments:
@@ -197,10 +199,11 @@ def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Ar
     piece, zeta, kind = segments.piece[row], segments.friction_angle[row], segments.tangential[row]
     low, high = segments.t[row].T
     t, q = _interpolate(segments, row, target)
-    tolerance = _X0_ROUNDING * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
+    # rounding of x0, by the lengths that it is computed from
+    tolerance = 8 * _EPS * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
 
     active = np.arange(len(row))
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(8):  # a sample that needs more goes on to bracketing
         slope, x, y = path.at(piece[active], t[active])
         t_step, q_step, residual = _newton_step(
             path, piece[active], kind[active], slope, x, y, zeta[active], q[active], target[active]
@@ -210,8 +213,8 @@ def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Ar
         if not len(active):
             break
         t[active] = np.clip(t[active] + t_step, low[active], high[active])
-        # the step is one in q², in which height and lean are nearly linear
-        q[active] = np.sqrt(np.maximum(q[active] * (q[active] + 2 * q_step), q[active] ** 2 / _LARGEST_SHRINKAGE**2))
+        # the step is one in q², in which height and lean are nearly linear; next to q = 0 Newton's method is slow
+        q[active] = np.sqrt(np.maximum(q[active] * (q[active] + 2 * q_step), (q[active] / 4) ** 2))
     if len(active):
         t[active] = _bracketed(
             path, piece[active], kind[active], zeta[active], low[active], high[active], target[active]

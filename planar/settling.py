@@ -22,10 +22,6 @@ _PER_LINK = 3
 # Damping of a step and its largest turn of a link, in radians.
 _DAMPING, _TURN = 0.35, 0.03
 _STEPS, _PATIENCE = 600, 150
-# Step, in radians, at which the chain is at rest, closely enough for Newton's method.
-_AT_REST = 3e-7
-# Compliance of a contact over that of the chain: neighbouring points that are pressed alike would have no single answer.
-_SOFT = 1e-8
 # Share of a corner's turn from either side's normal at which the other side holds the tip as well.
 _APART = 1e-6
 # Gap, in rod lengths, from which on a point does not take part in a step.
@@ -94,7 +90,7 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
         force, active = _complementary(jacobian @ carried, gap / damping + jacobian @ straighten, row, active)
         d = straighten + carried @ force
         largest = float(np.abs(d).max())
-        if largest < _AT_REST:
+        if largest < 3e-7:  # at rest, closely enough for Newton's method
             break
         angles += min(damping, _TURN / largest) * d
     pressed = force > 1e-9 * max(1.0, float(force.max(initial=0.0)))
@@ -123,7 +119,8 @@ def _complementary(matrix: Array, constant: Array, row: Index, start: Index) -> 
     force = np.zeros(n)
     if not n:
         return force, row
-    matrix = matrix + np.diag(np.full(n, _SOFT * np.abs(matrix.diagonal()).max() + 1e-15))
+    # with rigid contacts neighbouring points that are pressed alike would have no single answer
+    matrix = matrix + np.diag(np.full(n, 1e-8 * np.abs(matrix.diagonal()).max() + 1e-15))
     active = np.isin(row, start)
     # with friction there need not be an answer
     for trial in range(2 * n):

@@ -27,10 +27,6 @@ MOST = 3
 # Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
 _SOLVED, _ROUNDED = 1e-13, 1e-11
 _ITERATIONS = 16
-# Iterations after which one that does not halve the residual is the last.
-_PATIENT = 5
-# Step of the differences for Newton's derivatives: a root of rounding.
-_STEP = 1e-7
 # Distance from a piece's middle, in lengths of it, from which on a contact is looked for on the next one, and the residual
 # from which on it is if it is beyond the end at all.
 _BEYOND, _NEAR = 1.5, 1e-4
@@ -162,7 +158,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
     rows = np.arange(m)
     for iteration in range(_ITERATIONS):
         part, here = rods.rows(rows), z[rows]
-        step = _STEP * np.maximum(1.0, np.abs(here))
+        step = 1e-7 * np.maximum(1.0, np.abs(here))
         varied = np.repeat(here[:, None], d + 1, axis=1)
         varied[:, np.arange(1, d + 1), np.arange(d)] += step
         values = residuals(outlines, part.rows(np.repeat(np.arange(len(rows)), d + 1)), varied.reshape(-1, d))
@@ -181,7 +177,8 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         done = ~leaves & ((size < _SOLVED) | ((size < _ROUNDED) & stalls))
         found[rows[done]] = True
         best[rows] = np.where(leaves, np.inf, np.fmin(size, best[rows]))
-        ends = done | (~leaves & stalls & (iteration > _PATIENT)) | ~np.isfinite(values).all(axis=(1, 2))
+        # after some iterations one that does not halve the residual is the last
+        ends = done | (~leaves & stalls & (iteration > 5)) | ~np.isfinite(values).all(axis=(1, 2))
         remaining, going = rows[~ends], ~ends & ~leaves
         rows, value, slopes, part = rows[going], value[going], slopes[going], part.rows(going)
         if not len(remaining):

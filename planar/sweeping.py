@@ -24,19 +24,15 @@ from planar.arrays import BLOCK, Array, Index, Mask, Reactions
 from planar.contours import Contour, Polygon, check_contour, mirrored
 from planar.loops import Outlines
 from planar.paths import Path, check_height, polygon_paths
+from planar.plots import counted, to_frame, words
 from planar.rods import Rod
 from planar.segments import Segments, cut_intervals
 from planar.several import Rods, reactions
-from planar.tables import counted, to_frame, words
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
-# Coefficients at which a sweep with friction per sample is tabulated; a sample is searched between its places at two of them.
-_BRACKETING_SWEEPS = 3
-# Samples of a sweep of which nothing is stated: curves over them look smooth.
-_SAMPLES = 200
 # How far past touch-down the first sample of a sweep along any body lies, and the step by which its end is looked for, in rod
 # lengths.
 _TOUCHED, _LOOK = 1e-6, 0.02
@@ -186,7 +182,7 @@ def sweep(
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
     if base is None and samples is None:
-        samples = np.size(friction) if np.ndim(friction) == 1 else _SAMPLES
+        samples = np.size(friction) if np.ndim(friction) == 1 else 200  # over which curves look smooth
     if direction == 1:
         base = None if base is None else -np.asarray(base, dtype=float)
         rod = None if rod is None else rod.mirrored()
@@ -301,9 +297,7 @@ class _Tables(NamedTuple):
 
 def _tables(path: Path, frictions: list[Array]) -> _Tables:
     """Tables at the coefficients between which the samples of each sweep lie."""
-    levels = [
-        np.unique(np.linspace(mu.min(), mu.max(), _BRACKETING_SWEEPS)) if mu.size else np.zeros(1) for mu in frictions
-    ]
+    levels = [segments.levels(mu) for mu in frictions]
     sweep_of_level = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
     first, stop = path.offsets[sweep_of_level], path.offsets[sweep_of_level + 1]
     table, bounds = cut_intervals(path, first, stop, np.arctan(np.concatenate(levels)))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import NAMES, Array, Mask, checked_reactions
 from planar.elastica import bend_with_slopes
-from planar.inverses import solve
+from planar.march import solve
 from planar.rods import Rod
 
 DIFFERENCE = 3e-4

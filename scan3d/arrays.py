@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from planar.arrays import ratio as ratio
 
@@ -27,6 +28,8 @@ SOME = 20_000
 """Rows, evenly spread over all, that statistics and fits take at most: their errors fall with the root of the number."""
 AT_ONCE = 4_000_000
 """Entries of a matrix that are computed at once, which limits the memory."""
+MEDIAN_OF_NORMAL = float(ndtri(0.75))
+"""Median of the sizes of normal numbers, in their standard deviations."""
 OCTANTS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
 """(8, 3) the signs of the coordinates in each octant: the corners of a cube."""
 

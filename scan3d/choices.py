@@ -37,7 +37,6 @@ Tare = Literal["auto", "constant", "linear", "sweep"]
 TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""
 Shell = Literal["bash", "zsh", "fish"]
-SHELLS: tuple[str, ...] = get_args(Shell)
 """Shells for which there is a completion script."""
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
-from scan3d.numbers import force, length, lengths, number
 from scan3d.rigs import RigErrors
 from scan3d.shown import Exported, Rows, Shown
+from scan3d.units import force, length, lengths, number
 
 
 class NormalSource(IntEnum):

@@ -14,8 +14,8 @@ from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
 from scan3d.geometry.triangles import areas, dot, halve
-from scan3d.numbers import angle, length, number, point, share
 from scan3d.shown import Described, Rows, described
+from scan3d.units import angle, length, number, point, share
 
 if TYPE_CHECKING:
     import trimesh

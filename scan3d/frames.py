@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.numbers import length, number
+from scan3d.units import length, number
 
 _EULER = "xyz"
 

@@ -29,8 +29,8 @@ from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.pictures import page, rendering
-from scan3d.pictures.rendering import Drawing, DrawingError
-from scan3d.pictures.scene import Scene, of_cloud
+from scan3d.pictures.drawing import Drawing, DrawingError
+from scan3d.pictures.parts import Scene, of_cloud
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording

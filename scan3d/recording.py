@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import planar
 from planar.channels import Frames, follow_pushes
-from scan3d import numbers
+from scan3d import units
 from scan3d.arrays import LARGEST, Array, Index, Mask, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_columns, check_orientations, check_positions
@@ -159,7 +159,7 @@ class Recording(Shown):
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)
-        if not all(numbers.is_finite(noise) and noise >= 0 for noise in noises):
+        if not all(units.is_finite(noise) and noise >= 0 for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
         for name in columns[3:]:
             if (largest := float(np.abs(getattr(self, name)).max())) > LARGEST:
@@ -168,7 +168,7 @@ class Recording(Shown):
             raise InputError(
                 f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N, N m or m"
             )
-        if self.table_m is not None and not numbers.is_finite(self.table_m):
+        if self.table_m is not None and not units.is_finite(self.table_m):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
         if self.rod.weight_N and self.gravity is None:
             raise InputError(
@@ -276,18 +276,18 @@ class Recording(Shown):
             ("samples", f"{len(self)}, {(force > 0).sum()} with a force"),
             ("sweeps", str(len(np.unique(self.sweep)))),
             ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
-            ("rod", f"{numbers.length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
-            ("largest reactions", f"{numbers.force(force.max())}, {numbers.moment(moment.max())}"),
+            ("rod", f"{units.length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
+            ("largest reactions", f"{units.force(force.max())}, {units.moment(moment.max())}"),
             ("noise", self._stated()),
-            ("clamp from", numbers.point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
-            ("to", numbers.point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
+            ("clamp from", units.point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
+            ("to", units.point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
         ]
 
     def _stated(self) -> str:
         if not (self.noise_force_N or self.noise_moment_Nm or self.noise_pose_m):
             return "none"
-        pose = f", {numbers.length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
-        reactions = f"{numbers.force(self.noise_force_N, digits=2)}, {numbers.moment(self.noise_moment_Nm, digits=2)}"
+        pose = f", {units.length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
+        reactions = f"{units.force(self.noise_force_N, digits=2)}, {units.moment(self.noise_moment_Nm, digits=2)}"
         return f"{reactions}{pose} (standard deviations)"
 
 

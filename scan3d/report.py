@@ -23,11 +23,11 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.files.whole import SCHEMA
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.numbers import length, lengths, number, share, volume
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows
 from scan3d.spatial.bodies import sphere_directions
+from scan3d.units import length, lengths, number, share, volume
 
 if TYPE_CHECKING:
     import trimesh

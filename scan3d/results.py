@@ -33,7 +33,7 @@ from scan3d.files.recordings import read_recording
 from scan3d.files.shapes import NORMAL, POINT, read_ply, table
 from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, locate, replacing, sha256
 from scan3d.pictures import notebook
-from scan3d.pictures.scene import Scene, columns
+from scan3d.pictures.parts import Scene, columns
 from scan3d.pictures.sheet import sheet
 from scan3d.reconstruction import reconstruct
 from scan3d.recording import Recording

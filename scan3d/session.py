@@ -15,7 +15,6 @@ from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.numbers import length, share
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
@@ -28,6 +27,7 @@ from scan3d.recording import Recording, joined
 from scan3d.report import Analysis
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
+from scan3d.units import length, share
 
 if TYPE_CHECKING:
     import trimesh

@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 
 import planar
-from planar.tables import to_frame, words
+from planar.plots import to_frame, words
 from scan3d import comparison
 from scan3d.calibration import report
 from scan3d.calibration.report import Calibration

@@ -1,8 +1,19 @@
-"""Units: of the lengths of meshes, clouds and surfaces, and of what a laboratory measures."""
+"""Units: of the lengths of meshes, clouds and surfaces, and of what a laboratory measures.
+
+Numbers for people: the rule by which the terminal, the words of a report, pages, pictures and notebooks write them.  A length
+is written in the unit, nm, µm, mm or m, in which it is between 1 and 1000 (inches stay inches), forces and moments likewise;
+what is below a nanometre, the size of a few atoms, is no length of a body, and is said to be.  A value with an uncertainty has
+the digits that the uncertainty leaves (M. Tanabashi et al., Review of Particle Physics, Phys. Rev. D 98, 030001, 2018, section
+5.3), and bounds are rounded away from what they bound, so that what is written holds as well.  Files hold all digits.
+"""
+
+from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterable
+from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
+from numbers import Real
 from typing import Any, Literal
 
 Unit = Literal["m", "cm", "mm", "um", "in"]
@@ -106,3 +117,168 @@ def without_unit(name: str) -> str:
     for pattern in _AT_END[1:]:
         text = pattern.sub(lambda match: "" if unit_of_cell(match[1]) else match[0], text)
     return text
+
+
+UNITS: dict[str, Decimal] = {"m": Decimal(1), "mm": Decimal("1e-3"), "µm": Decimal("1e-6"), "nm": Decimal("1e-9")}
+"""The units in which lengths are written, in metres, from the largest to the smallest."""
+FORCES: dict[str, Decimal] = {"N": Decimal(1), "mN": Decimal("1e-3"), "µN": Decimal("1e-6"), "nN": Decimal("1e-9")}
+"""The units in which forces are written, in N."""
+MOMENTS: dict[str, Decimal] = {
+    "N m": Decimal(1),
+    "N mm": Decimal("1e-3"),
+    "mN mm": Decimal("1e-6"),
+    "µN mm": Decimal("1e-9"),
+}
+"""The units in which moments are written, in N m."""
+# Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
+_DIGITS, _MOST_DIGITS = 3, 7
+
+
+def is_finite(value: object) -> bool:
+    """Whether it is one real number, of Python or numpy, and finite; a whole number may be too large for a float."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    """A number with so many significant digits, the thousands of large ones apart: ``0.305``, ``51,400``, ``8.5e-05``."""
+    return _written(_decimal(value), digits)
+
+
+def length(value: float, unit: str, *, digits: int = _DIGITS, up: bool = False) -> str:
+    """A length, given in `unit`, with its unit: ``3.33 µm``; rounded up if it is a bound."""
+    metres = _decimal(value) * Decimal(str(UNITS_M[unit]))
+    if not metres.is_finite():
+        return "unknown"
+    if abs(metres) < UNITS["nm"]:
+        return "under 1 nm" if metres else f"0 {unit_for(0.0, unit)[0]}"
+    symbol, size = unit_for(abs(float(metres)) / UNITS_M[unit], unit)
+    return f"{_written(metres / size, digits, up)} {symbol}"
+
+
+def lengths(values: Iterable[float], unit: str, *, digits: int = 4) -> tuple[list[str], str]:
+    """Lengths that belong together, as numbers with the decimals of the largest in one unit, and that unit."""
+    metres = [_decimal(value) * Decimal(str(UNITS_M[unit])) for value in values]
+    largest = max((abs(value) for value in metres), default=Decimal(0))
+    symbol, size = unit_for(float(largest) / UNITS_M[unit], unit)
+    return _alike(metres, max(largest, UNITS["nm"]), size, digits), symbol
+
+
+def point(values: Iterable[float], unit: str) -> str:
+    """A place whose coordinates are given in `unit`: ``(12.5, 0, -3.1) mm``."""
+    shown, symbol = lengths(values, unit)
+    return f"({', '.join(shown)}) {symbol}"
+
+
+def force(*newtons: float, digits: int = _DIGITS, up: bool = False) -> str:
+    """A force with its unit, ``19.2 mN``, or its components, ``(19.2, 0, -3.1) mN``; rounded up if it is a limit."""
+    return _reaction(newtons, FORCES, digits, up)
+
+
+def moment(*newton_metres: float, digits: int = _DIGITS, up: bool = False) -> str:
+    """A moment with its unit, ``1.32 N mm``, as `force`."""
+    return _reaction(newton_metres, MOMENTS, digits, up)
+
+
+def reaction_unit(largest: float, units: dict[str, Decimal]) -> tuple[str, Decimal]:
+    """The one of the units of forces or moments in which those up to one in N or N m are written, and its size."""
+    sizes = list(units.items())
+    return next((pair for pair in sizes if largest >= pair[1]), sizes[-1 if largest else 0])
+
+
+def _reaction(values: tuple[float, ...], units: dict[str, Decimal], digits: int, up: bool) -> str:
+    given = [_decimal(value) for value in values]
+    largest = max(map(abs, given))
+    if not all(value.is_finite() for value in given):
+        return "unknown"
+    least, smallest = next(reversed(units.items()))
+    if largest < smallest and largest:
+        return f"under 1 {least}"
+    symbol, size = reaction_unit(float(largest), units)
+    if len(given) == 1:
+        return f"{_written(given[0] / size, digits, up)} {symbol}"
+    return f"({', '.join(_alike(given, largest, size, digits))}) {symbol}"
+
+
+def unit_for(largest: float, unit: str) -> tuple[str, Decimal]:
+    """The unit in which lengths up to one given in `unit` are written, and what it is in metres."""
+    if unit == "in":
+        return unit, Decimal(str(UNITS_M[unit]))
+    metres = Decimal(str(UNITS_M[unit])) * _decimal(largest)
+    if not metres.is_finite() or metres < UNITS["nm"]:
+        return "mm", UNITS["mm"]
+    return next((symbol, size) for symbol, size in UNITS.items() if metres >= size)
+
+
+def volume(value: float, low: float, high: float, unit: str) -> str:
+    """A volume, given in `unit` cubed, with an interval that contains that of the body: ``13,190 ± 4 mm³``."""
+    symbol, size = unit_for(abs(value) ** (1 / 3), unit)
+    factor = (Decimal(str(UNITS_M[unit])) / size) ** 3
+    return f"{plus_minus(*(float(factor * _decimal(part)) for part in (value, low, high)))} {symbol}³"
+
+
+def plus_minus(value: float, low: float, high: float) -> str:
+    """A value with what it may be off: ``0.012 ± 0.034``.  The interval that is written contains that from `low` to `high`."""
+    given, below, above = _decimal(value), _decimal(low), _decimal(high)
+    off = max(above - given, given - below)
+    if not off.is_finite():
+        return f"{number(value)} ± unknown"
+    if off <= 0:
+        return number(value, _MOST_DIGITS)
+    exponent = _exponent(off)
+    place = exponent - 1 if off.scaleb(-exponent) < Decimal("3.55") else exponent
+    place = max(place, _exponent(max(abs(given), off)) - _MOST_DIGITS + 1)
+    middle = _rounded(given, place)
+    return f"{middle:,f} ± {_rounded(max(above - middle, middle - below), place, ROUND_CEILING):,f}"
+
+
+def angle(degrees: float) -> str:
+    """An angle in degrees: ``0.302°``; what is below 0.0001°, a third of an arc second, is rounding of the vertices."""
+    return f"{number(degrees)}°" if not 0 < abs(degrees) < 1e-4 else "under 0.0001°"
+
+
+def share(value: float, *, up: bool = False) -> str:
+    """A part of a whole in per cent, or below 0.01 % in parts per million: ``0.26 %``, ``54 ppm``."""
+    if abs(value) < 1e-9:
+        return "under 0.001 ppm" if value else "0 %"
+    factor, symbol = (100, "%") if abs(value) >= 1e-4 else (1_000_000, "ppm")
+    return f"{_written(factor * _decimal(value), 2, up)} {symbol}"
+
+
+def _decimal(value: float) -> Decimal:
+    return Decimal(float(value))
+
+
+def _exponent(value: Decimal) -> int:
+    """Of the leading digit; 0 for zero."""
+    return value.adjusted() if value else 0
+
+
+def _alike(values: list[Decimal], largest: Decimal, size: Decimal, digits: int) -> list[str]:
+    """Values over `size`, with the decimals that the largest of them has with so many digits."""
+    place = _exponent(largest / size) - digits + 1
+    return [_plain(_rounded(value / size, place)).removesuffix(".") for value in values]
+
+
+def _rounded(value: Decimal, place: int, rounding: str = ROUND_HALF_EVEN) -> Decimal:
+    return value.quantize(Decimal(1).scaleb(place), rounding)
+
+
+def _written(value: Decimal, digits: int, up: bool = False) -> str:
+    """A number with so many significant digits, rounded to the nearest or up, without zeros at the end of its decimals."""
+    if not value.is_finite():
+        return f"{value}".lower().replace("infinity", "infinite")
+    exponent = _exponent(value)
+    rounded = _rounded(value, exponent - digits + 1, ROUND_CEILING if up else ROUND_HALF_EVEN)
+    if -4 <= exponent < 9:
+        return _plain(rounded)
+    mantissa = _plain(rounded.scaleb(-exponent))
+    return f"{mantissa}e{exponent:+03d}"
+
+
+def _plain(value: Decimal) -> str:
+    text = f"{value:,f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text == "-0" else text

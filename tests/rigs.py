@@ -14,15 +14,14 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
-from scan3d.simulation.faults import pink_noise
-from scan3d.simulation.rig import simulate_rig, standing
+from scan3d.simulation.rig import pink_noise, simulate_rig, standing
 from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 DIAMETER = 0.030
 CENTRE = np.array([0.41, -0.12, 0.23])
-# A file of all faults that `scan3d.simulation.faults` knows.
+# A file of all faults that `scan3d.simulation.rig` knows.
 FAULTS = """\
 seed = 3
 rate_hz = 40

@@ -11,7 +11,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.geometry.distance import distances
 from scan3d.pictures import rendering
-from scan3d.pictures.scene import of_cloud
+from scan3d.pictures.parts import of_cloud
 from scan3d.surfaces import certificate, enclosure, surface
 
 FOLDER = Path(__file__).parents[1] / "meshes"

@@ -10,7 +10,7 @@ import pytest
 from small_scans import CUBE, FEW, scanned
 
 import scan3d
-from scan3d.pictures import rendering, views
+from scan3d.pictures import drawing, rendering, views
 
 JOBS = [(".png", {"view": "cloud"})]
 
@@ -26,7 +26,7 @@ def test_a_child_draws_the_same_picture_as_this_process_whatever_its_matplotlibr
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\naxes.linewidth: 5\n")
     monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
     views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
-    assert rendering.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
+    assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
 
 
 @pytest.mark.rendering
@@ -52,17 +52,17 @@ def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwa
 )
 @pytest.mark.usefixtures("renderer")
 def test_a_child_that_fails(monkeypatch, code, sentence):
-    monkeypatch.setattr(rendering, "_CODE", code)
+    monkeypatch.setattr(drawing, "_CODE", code)
     if "took" in sentence:
-        monkeypatch.setattr(rendering, "_TIMEOUT_S", 0.5)
-    with pytest.raises(rendering.DrawingError, match=sentence):
-        rendering.draw(scanned(CUBE), JOBS)
+        monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.5)
+    with pytest.raises(drawing.DrawingError, match=sentence):
+        drawing.draw(scanned(CUBE), JOBS)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("renderer")
 def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, call):
-    monkeypatch.setattr(rendering, "_CODE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setattr(drawing, "_CODE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     out, sentence = tmp_path / "out", "the renderer crashed (SIGSEGV)"
     code, _, err = call("scan", CUBE, "--out", out, *FEW)
     assert (code, err) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
@@ -77,8 +77,8 @@ def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, 
 @pytest.mark.rendering
 def test_a_child_ends_with_the_process_that_started_it():
     code = (
-        "import os, time; from scan3d.pictures import rendering\n"
-        "child = rendering.Drawing()\n"
+        "import os, time; from scan3d.pictures import drawing\n"
+        "child = drawing.Drawing()\n"
         "while child._child is None: time.sleep(0.01)\n"
         "print(child._child.pid, flush=True); os.kill(os.getpid(), 9)"
     )

@@ -11,8 +11,7 @@ import scan3d
 from scan3d.geometry.distance import nearest
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.reconstruction.contacts import readings
-from scan3d.simulation.faults import Faults
-from scan3d.simulation.rig import simulate_rig, standing
+from scan3d.simulation.rig import Faults, simulate_rig, standing
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 

@@ -199,10 +199,10 @@ def test_a_first_map_is_written_and_completed(place, recording, capsys):
 def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
     count = len(header.split(","))
     (tmp_path / "log.csv").write_text(f"{header}\n" + f"{','.join(['0.5'] * count)}\n" * 3)
-    text, open_ = guess_map(tmp_path / "log.csv")
-    columns = tomllib.loads(text)["columns"]
+    found = guess_map(tmp_path / "log.csv")
+    columns = tomllib.loads(found.text)["columns"]
     assert {name: columns[name] for name in entries} == entries
-    assert left <= set(open_)
+    assert left <= set(found.open)
 
 
 @pytest.mark.parametrize(
@@ -219,12 +219,12 @@ def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
 )
 def test_times_state_their_unit_by_their_size(tmp_path, step, start, unit):
     (tmp_path / "log.csv").write_text("time,x\n" + "".join(f"{start + step * k:.2f},0\n" for k in range(200)))
-    assert tomllib.loads(guess_map(tmp_path / "log.csv")[0])["units"]["time"] == unit
+    assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]["time"] == unit
 
 
 def test_titles_and_units_are_found_by_the_guess(tmp_path):
     (tmp_path / "log.csv").write_text("A title\n\nt\tx\ty\ns\tmm\tmm\n" + "0,5\t1,5\t2,5\n" * 4)
-    data = tomllib.loads(guess_map(tmp_path / "log.csv")[0])
+    data = tomllib.loads(guess_map(tmp_path / "log.csv").text)
     assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
 
 

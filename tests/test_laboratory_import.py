@@ -239,7 +239,7 @@ def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
     assert other.position_m == pytest.approx(one.position_m, abs=1e-12)
     assert other.force_N == pytest.approx(one.force_N, abs=1e-12)
     if file != "raw.npy":  # without names
-        assert "columns" not in guess_map(tmp_path / file)[1]
+        assert "columns" not in guess_map(tmp_path / file).open
     for data_in_it, why in ((b"PK\x03\x04 no such file", "can't read raw"), (b"", "can't read raw")):
         (tmp_path / file).write_bytes(data_in_it)
         with pytest.raises(InputError, match=why):

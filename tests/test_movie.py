@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures import movie, rendering
+from scan3d.pictures import rendering, views
 
 SIZE = (980, 560)
 
@@ -28,8 +28,8 @@ def images(path):
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
 def test_growth(make, tmp_path):
     # the rod is seen in every frame, and not without a recording
-    movie.movie(make(), tmp_path / "rod.gif", frames=2)
-    movie.movie(replace(make(), recording=None), tmp_path / "growth.gif", frames=3)
+    views.movie(make(), tmp_path / "rod.gif", frames=2)
+    views.movie(replace(make(), recording=None), tmp_path / "growth.gif", frames=3)
     with_rod, shown = images(tmp_path / "rod.gif"), images(tmp_path / "growth.gif")
     blue = [(image[:500, :, 2].astype(int) - image[:500, :, 0] > 40).sum() for image in (*with_rod, *shown)]
     assert min(blue[:2]) > 300
@@ -48,7 +48,7 @@ def test_growth(make, tmp_path):
 @pytest.mark.rendering
 def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
     for name in ("a.gif", "b.gif"):
-        movie.movie(egg, tmp_path / name, frames=2)
+        views.movie(egg, tmp_path / name, frames=2)
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
@@ -65,7 +65,7 @@ def test_an_mp4_is_written_by_ffmpeg(egg, tmp_path, monkeypatch):
             written.append(image)
 
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", types.SimpleNamespace(write_frames=write_frames))
-    movie.movie(egg, tmp_path / "a.mp4", frames=3)
+    views.movie(egg, tmp_path / "a.mp4", frames=3)
     # images as ffmpeg takes them; the last one is held
     assert {(image.shape, image.dtype) for image in written} == {((560, 980, 3), np.dtype(np.uint8))}
     assert all(image.flags["C_CONTIGUOUS"] for image in written)
@@ -83,5 +83,5 @@ def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
         ({}, "x.gif", "nothing here can render off screen"),
     ):
         with pytest.raises(scan3d.InputError, match=sentence):
-            movie.movie(replace(egg, **change), tmp_path / name)
+            views.movie(replace(egg, **change), tmp_path / name)
         assert not list(tmp_path.iterdir())

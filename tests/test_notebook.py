@@ -14,8 +14,8 @@ from small_scans import CUBE, EGG, scanned
 
 import planar
 import scan3d
-from scan3d.numbers import number
 from scan3d.pictures import rendering
+from scan3d.units import number
 
 
 @pytest.fixture(scope="module")

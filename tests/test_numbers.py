@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import scan3d
-from scan3d.numbers import (
+from scan3d.units import (
     FORCES,
+    UNITS_M,
     force,
     length,
     lengths,
@@ -23,7 +24,6 @@ from scan3d.numbers import (
     unit_for,
     volume,
 )
-from scan3d.units import UNITS_M
 
 SIZES = {"nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "m": 1.0, "in": 0.0254}
 positive = st.floats(1e-12, 1e6)

@@ -42,7 +42,7 @@ def refused(capsys, monkeypatch):
         before = tree()
         capsys.readouterr()
         with monkeypatch.context() as patched:
-            for name in ("simulation.scan.simulate", "pipeline.analyse", "pictures.page.page", "pictures.movie.movie"):
+            for name in ("simulation.scan.simulate", "pipeline.analyse", "pictures.page.page", "pictures.views.movie"):
                 patched.setattr(f"scan3d.{name}", lambda *_, **__: pytest.fail("it was computed"))
             assert main([str(argument) for argument in arguments]) == 1
         stdout, stderr = capsys.readouterr()

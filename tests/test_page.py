@@ -14,11 +14,11 @@ import pytest
 from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
-from scan3d.numbers import FORCES, MOMENTS
 from scan3d.pictures.page import page, player
-from scan3d.pictures.scene import Scene
+from scan3d.pictures.parts import Scene
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.units import FORCES, MOMENTS
 
 
 def array(data):

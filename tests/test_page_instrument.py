@@ -10,9 +10,9 @@ from browser import HEIGHT, SECONDS, WIDTH, Tab
 from small_scans import scanned_in_space
 
 from scan3d.geometry.distance import distances
-from scan3d.numbers import FORCES, MOMENTS, length, number
 from scan3d.pictures.page import page
 from scan3d.pictures.parts import shown_surface, shown_sweep
+from scan3d.units import FORCES, MOMENTS, length, number
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 NUMBER = r"[-−]?[\d.,]*\d(?:e[-−]?\d+)?"

@@ -9,7 +9,7 @@ import trimesh
 import scan3d
 from scan3d import pipeline
 from scan3d.files.meshes import judge_mesh
-from scan3d.pictures import rendering
+from scan3d.pictures import drawing, rendering
 
 
 def simulated(noise=0.0):
@@ -89,7 +89,7 @@ def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypa
     analysis = dataclasses.replace(analysis, truth=None)
     with monkeypatch.context() as patched:
         patched.setattr(rendering, "can_render", lambda: True)
-        patched.setattr(rendering.Drawing, "finish", lambda _: [b"a picture"] * 2)
+        patched.setattr(drawing.Drawing, "finish", lambda _: [b"a picture"] * 2)
         data = pipeline.write(analysis, tmp_path, settings={})
     assert set(data["files"]) == RESULTS | PICTURES
     (tmp_path / "notes.txt").write_text("earlier")

@@ -18,7 +18,8 @@ from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
-from scan3d.simulation.faults import (
+from scan3d.simulation.rig import (
+    BETWEEN,
     Faults,
     Place,
     Size,
@@ -28,8 +29,9 @@ from scan3d.simulation.faults import (
     measured,
     pink_noise,
     read_faults,
+    simulate_rig,
+    standing,
 )
-from scan3d.simulation.rig import BETWEEN, simulate_rig, standing
 
 ROWS = 20000
 

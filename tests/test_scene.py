@@ -16,8 +16,16 @@ import scan3d
 from scan3d import results
 from scan3d.cli import main, show
 from scan3d.pictures import parts
-from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
-from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg
+from scan3d.pictures.parts import (
+    contact_paths,
+    contact_sentence,
+    of_cloud,
+    out_of_plane_deg,
+    outlines,
+    shown_surface,
+    shown_sweep,
+    sweep_direction,
+)
 from scan3d.report import key_figures
 
 

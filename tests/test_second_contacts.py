@@ -15,10 +15,9 @@ from planar import (
     passed,
     recover,
     recover_at_tip,
-    refuse_second_contacts,
     second_contacts,
 )
-from planar.crossings import EXPANDED, drawn, near
+from planar.hidden import EXPANDED, drawn, near
 
 ZETA = np.arctan(0.3)
 RUBBING = ["peanut with friction", "star", "letter L"]
@@ -48,7 +47,7 @@ def test_friction_reveals_a_second_contact(friction):
     second = second_contacts(columns[0], found, friction=friction)
     assert found.status[80] == Status.INFLECTION
     assert np.flatnonzero(second).tolist() == [79, 81]
-    kept = refuse_second_contacts(found, second)
+    kept = found.refused(second, Status.SECOND_CONTACT)
     assert (kept.status[second] == Status.SECOND_CONTACT).all()
     assert (kept.phase[second] == Phase.NONE).all()
     assert np.isnan(kept.point[second]).all()

@@ -14,7 +14,7 @@ from without_renderer import MISSING, hidden_renderer
 
 import scan3d
 from scan3d.pictures import canvas, parts, rendering
-from scan3d.pictures.scene import contact_sentence
+from scan3d.pictures.parts import contact_sentence
 
 COMMAND = Path(sys.executable).with_name("scan3d")
 # The notebook is tried without a display, the command without libraries; `make trust` runs the rest.

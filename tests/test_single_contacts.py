@@ -6,7 +6,7 @@ from shapes import letter_l_outline, star
 from test_hard_corners import CORNERS
 
 import planar
-from planar import any_body, clearance, singles
+from planar import any_body, singles
 from planar.elastica import bend
 from planar.loops import Outlines
 from planar.pieces import piece
@@ -57,7 +57,7 @@ def test_clearance_agrees_with_signed_distances(polygon):
     alpha, q, s1 = alpha[exists], q[exists], rng.uniform(0.4, 1, exists.sum())
     root_f, x0 = length[exists] / s1, rng.uniform(-0.9, 0.5, exists.sum())
     force = root_f**2 * np.sin(alpha), -(root_f**2) * np.cos(alpha)
-    found = clearance.crosses(polygon.vertices, following, clearance.lines(x0, -2 * q * root_f, *force, s1))
+    found = singles.crosses(polygon.vertices, following, singles.lines_of(x0, -2 * q * root_f, *force, s1))
     at = np.linspace(0, 1, 1500)
     end = piece(
         force[0][:, None],
@@ -74,7 +74,7 @@ def test_clearance_agrees_with_signed_distances(polygon):
     upright = np.linspace(-0.5, 0.5, 41)
     points = np.stack(np.broadcast_arrays(upright[:, None], at), axis=2).reshape(-1, 2)
     gap = outlines.nearest(np.zeros(len(points), dtype=np.intp), points, 0.01).gap.reshape(41, -1)
-    crossing = clearance.straight_crosses(polygon.vertices, following, upright)
+    crossing = singles.straight_crosses(polygon.vertices, following, upright)
     np.testing.assert_array_equal(crossing, gap.min(axis=1) < 0)
 
 

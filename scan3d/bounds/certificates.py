@@ -27,10 +27,10 @@ from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull_about_mean, support_of
 from scan3d.geometry.triangles import spanned
-from scan3d.numbers import angle, length, number, share
 from scan3d.reconstruction.errors import noise_in_air
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.units import angle, length, number, share
 
 
 class Certificate(NamedTuple):

@@ -20,7 +20,7 @@ convex bodies is the largest difference of their support functions, and ``h_K = 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
-have errors, each of them leaves out a wedge instead (`scan3d.bounds.wedges`), whose errors are those across the rod, and H may
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.apexes`), whose errors are those across the rod, and H may
 stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it is
 known, is one more supporting plane of K, moved outwards by the rod's radius.
 
@@ -43,11 +43,10 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit
-from scan3d.bounds.apexes import best_apexes
+from scan3d.bounds.apexes import best_apexes, outer_body
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
-from scan3d.bounds.wedges import outer_body
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places

@@ -25,7 +25,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
-from planar.crossings import SNAPPED
+from planar.hidden import SNAPPED
 from scan3d.arrays import Array, Index, Mask, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud

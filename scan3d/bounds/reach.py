@@ -31,8 +31,8 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.bounds.free_space import Sheets, contradicted, place_errors, sheets_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.numbers import length
 from scan3d.recording import Recording
+from scan3d.units import length
 
 # Cells of the grid.
 _CELLS = 4_000_000

@@ -26,7 +26,6 @@ from scan3d.calibration.fit import (
     Noise,
     Problem,
     adjusted,
-    by_parameter,
     checked,
     estimates,
     fitted,
@@ -54,8 +53,8 @@ from scan3d.calibration.model import (
 from scan3d.calibration.references import Plane, Reference, Sphere, neighbours, unloaded
 from scan3d.choices import TARES
 from scan3d.errors import InputError
-from scan3d.numbers import length, share
 from scan3d.recording import Recording
+from scan3d.units import length, share
 
 FEWEST = 30
 """Rows in contact that a calibration needs."""
@@ -65,20 +64,6 @@ MORE_SWEEPS = (
 # Forces in standard deviations of their noise from which a row is used, and the standard deviation of a contact's place
 # along the rod, over the reference's size, up to which it is: farther off, the reference curves within the errors of a row.
 _FELT, _ALONG = 20.0, 0.12
-# Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
-# The reference's place and the tare have no nominal value.
-_FIXED_FIRST = {
-    STIFFNESS: 0.5,
-    CLAMP: 1.0,
-    TILT: 0.9,
-    TURN: 0.6,
-    SENSOR: 0.8,
-    PLACE: 0.0,
-    LENGTH: 1.0,
-    SHAPE: 0.95,
-    MIXING: 0.0,
-    TARE: 0.0,
-}
 # Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
 # contacts' distance from the reference depends on it to the second order only, and linear uncertainties do not hold.
 _ABOUT_ROD = 0.01
@@ -349,7 +334,7 @@ def _by_neighbours(likelier: Array, sweep: NDArray[np.int64]) -> NDArray[np.int8
 def _determined(problem: Problem, rig: Rig, normal: Array) -> Mask:
     """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
     free = problem.free.copy()
-    widths, order = problem.widths, by_parameter(_FIXED_FIRST, len(free))
+    widths, order = problem.widths, problem.ranks
     while True:
         rows = np.flatnonzero(free)
         size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])

@@ -44,23 +44,24 @@ from scan3d.calibration.model import (
     equations,
 )
 from scan3d.calibration.references import Sphere, Unloaded
-from scan3d.numbers import length, share
 from scan3d.recording import Recording
+from scan3d.units import length, share
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
 # Of the logarithms of stiffness and taper, curvatures over the rod's length, lengths in rod lengths, angles in radians, and the
-# tare in EI/L² and EI/L.
-_WIDTHS = {
-    STIFFNESS: 0.5,
-    CLAMP: 0.1,
-    TILT: 0.3,
-    TURN: 0.5,
-    SENSOR: 0.3,
-    PLACE: 1.0,
-    LENGTH: 0.1,
-    SHAPE: 1.0,
-    MIXING: 1.0,
-    TARE: 1.0,
+# tare in EI/L² and EI/L.  And which of several that are determined only together stays at its nominal value: the one with the
+# largest number; the reference's place and the tare have no nominal value.
+_WIDTHS_AND_RANKS = {
+    STIFFNESS: (0.5, 0.5),
+    CLAMP: (0.1, 1.0),
+    TILT: (0.3, 0.9),
+    TURN: (0.5, 0.6),
+    SENSOR: (0.3, 0.8),
+    PLACE: (1.0, 0.0),
+    LENGTH: (0.1, 1.0),
+    SHAPE: (1.0, 0.95),
+    MIXING: (1.0, 0.0),
+    TARE: (1.0, 0.0),
 }
 # Rounds in which the measured values of a row are adjusted to a rig, and rigs that a fit tries at most.
 _ADJUSTMENTS, _TRIALS = 3, 50
@@ -115,7 +116,18 @@ class Problem:
 
     @property
     def widths(self) -> Array:
-        return by_parameter(_WIDTHS, len(self.free))
+        return self._groups[:, 0]
+
+    @property
+    def ranks(self) -> Array:
+        """(p,) of those that are determined only together, the first to stay at its nominal value has the largest."""
+        return self._groups[:, 1]
+
+    @property
+    def _groups(self) -> Array:
+        first = np.array(list(_WIDTHS_AND_RANKS))
+        group = np.searchsorted(first, np.arange(len(self.free)), side="right") - 1
+        return np.array(list(_WIDTHS_AND_RANKS.values()))[group]
 
     @property
     def squares(self) -> Array:
@@ -183,12 +195,6 @@ class Fit:
         known = np.linalg.pinv(self.jacobian)[MIXING + free]
         unknown = float(((known**2).sum(axis=1) / unit**2).sum()) / self.noise.mixing**2
         return float(((self.rig.mixing.ravel()[free] / unit) ** 2).sum()), len(free) - unknown
-
-
-def by_parameter(table: dict[int, float], count: int) -> Array:
-    """(p,) values of parameters from those of the groups that begin at the keys."""
-    first = np.array(sorted(table))
-    return np.array([table[first[first <= number][-1]] for number in range(count)])
 
 
 def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Rows:

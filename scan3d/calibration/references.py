@@ -25,8 +25,8 @@ from scipy.special import chdtri
 
 from scan3d.arrays import ROUNDING, Array, Mask
 from scan3d.errors import InputError
-from scan3d.numbers import length
 from scan3d.rods import Rod
+from scan3d.units import length
 
 # Largest diameter of a reference sphere in rod lengths; larger ones are planes to a rod.
 _LARGEST = 1e3

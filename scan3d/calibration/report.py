@@ -21,11 +21,11 @@ from scan3d.files.reading import Section, read_rod, read_section, rod_section
 from scan3d.files.text import to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_file, folder, write_atomic
 from scan3d.frames import Frame, euler_of, to_outer, turn_of
-from scan3d.numbers import length
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
+from scan3d.units import length
 
 
 @dataclass(frozen=True, repr=False)

@@ -26,9 +26,8 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
-from scan3d.numbers import force, length, moment, number, plus_minus, share
 from scan3d.rods import parse_rod
-from scan3d.units import UNITS_M, Unit, unit_question
+from scan3d.units import UNITS_M, Unit, force, length, moment, number, plus_minus, share, unit_question
 
 if TYPE_CHECKING:
     from scan3d.laboratory.importing import Imported
@@ -248,7 +247,7 @@ def simulate_rig(
     from scan3d.files.recordings import RAW_COLUMNS, check_path, map_path, read_poses, sidecar
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
-    from scan3d.simulation.faults import read_faults
+    from scan3d.simulation.rig import read_faults
 
     chosen = options.chosen()
     plan = chosen.plan()
@@ -535,11 +534,11 @@ def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) ->
     path = map_file or raw.with_suffix(".map.toml")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists already; give --overwrite to replace it, or choose another place with --map")
-    guess, left = guess_map(raw)
+    guess = guess_map(raw)
     with folder(path.parent, "--map"):
-        write_atomic(path, guess.encode(), "--map")
-    text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(left)}")
-    return print_result(output, {"map": str(path), "open": list(left)}, text)
+        write_atomic(path, guess.text.encode(), "--map")
+    text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(guess.open)}")
+    return print_result(output, {"map": str(path), "open": list(guess.open)}, text)
 
 
 def _facts(imported: Imported) -> list[tuple[str, str]]:

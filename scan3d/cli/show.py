@@ -87,8 +87,7 @@ def show(
     except InputError as error:
         raise UsageError(str(error)) from None
     from scan3d.files.whole import check_file, write_atomic
-    from scan3d.pictures import canvas, page, rendering, views
-    from scan3d.pictures import movie as movies
+    from scan3d.pictures import canvas, drawing, page, views
 
     if not (screenshot or html or movie):
         canvas.need_display()
@@ -96,7 +95,7 @@ def show(
     if screenshot:
         views.check_path(screenshot)
     if movie:
-        movies.check_path(movie)
+        views.check_movie_path(movie)
     inputs = {"file": path, "true body": truth, "other surface": against}
     for option, file in (("--html", html), ("--movie", movie), ("--screenshot", screenshot)):
         if file:
@@ -115,10 +114,10 @@ def show(
     if html:
         write_atomic(html, page.page(scene), "--html")
     if movie:
-        write_atomic(movie, rendering.draw(scene, [(movie.suffix.lower(), {})])[0], "--movie")
+        write_atomic(movie, drawing.draw(scene, [(movie.suffix.lower(), {})])[0], "--movie")
     if screenshot:
         shown = view or ("cloud" if color or scene.surface is None else "surface")
-        write_atomic(screenshot, rendering.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
+        write_atomic(screenshot, drawing.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
     files = [str(file) for file in (html, movie, screenshot) if file]
     text = "\n".join(printable(f"written to {file}") for file in files)
     return print_result(output, {"shown": scene.name, "files": files}, text)
@@ -150,7 +149,7 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
     from scan3d import results
     from scan3d.files.meshes import load_mesh, read_mesh
-    from scan3d.pictures.scene import Scene
+    from scan3d.pictures.parts import Scene
 
     if not path.exists():
         raise InputError(
@@ -172,7 +171,7 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
 def _recording_scene(path: Path) -> Any:
     from scan3d import pipeline
     from scan3d.files.recordings import read_recording
-    from scan3d.pictures.scene import of_cloud
+    from scan3d.pictures.parts import of_cloud
     from scan3d.reconstruction import reconstruct as reconstruct_recording
 
     recording = read_recording(path)

@@ -34,10 +34,9 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
-from scan3d.numbers import length, number, share
 from scan3d.rods import parse_rod
 from scan3d.settings import Settings, settings
-from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
+from scan3d.units import UNITS_M, Unit, length, number, share, unit_question, unit_remark
 
 _OF_ONE_SWEEP = Parameter(
     group=Group(

@@ -17,13 +17,12 @@ from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
-from scan3d.files.gltf import read_glb
+from scan3d.files.formats import read_glb
 from scan3d.files.reading import check_file
 from scan3d.geometry import convexity, triangles
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import deepest_dent
-from scan3d.numbers import share
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, share
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from scan3d.errors import InputError
-from scan3d.numbers import is_finite
 from scan3d.processes import check_memory
 from scan3d.rods import Rod
+from scan3d.units import is_finite
 
 
 def check_file(path: Path, *, memory_per_byte: float = 2.0) -> None:

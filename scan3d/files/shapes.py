@@ -15,9 +15,8 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.reading import check_file
-from scan3d.numbers import lengths
 from scan3d.shown import Exported, Rows
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, lengths
 
 # Types of PLY by the codes of numpy; only those that the tables of scan3d need.
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}

@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,12 +45,20 @@ _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
 
 
-def guess_map(path: str | Path) -> tuple[str, tuple[str, ...]]:
-    """A first map of a table or a ROS bag, and what it leaves open.  Raises InputError if it can't be read."""
+class FirstMap(NamedTuple):
+    """A map that is to be completed."""
+
+    text: str
+    open: tuple[str, ...]
+    """What is not known."""
+
+
+def guess_map(path: str | Path) -> FirstMap:
+    """A first map of a table or a ROS bag.  Raises InputError if it can't be read."""
     path = Path(path)
     if is_bag(path):
         bag_files(path)
-        return _HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod")
+        return FirstMap(_HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod"))
     layout = guessed_layout(path)
     table = read_table(path, layout)
     left: list[str] = []
@@ -91,7 +100,7 @@ def guess_map(path: str | Path) -> tuple[str, tuple[str, ...]]:
     if not table.names:
         left.append("columns")
     text = "\n".join([_HEAD, *_layout(layout), "[columns]", *columns, "", "[units]", *units, ""])
-    return text + _rest("as the sensor's manual says"), (*left, "sensor", "rod")
+    return FirstMap(text + _rest("as the sensor's manual says"), (*left, "sensor", "rod"))
 
 
 def _first(table: Table, pattern: str, parts: int = 2) -> str | None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d import numbers
+from scan3d import units
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
@@ -24,16 +24,24 @@ from scan3d.files.tables import Table, read_table
 from scan3d.frames import Frame, euler_of, wrench_matrix
 from scan3d.laboratory import signals
 from scan3d.laboratory.bags import is_bag, read_bag
-from scan3d.laboratory.logs import CHANNELS, Log, check_directions, read_log, strokes, travel_angles, without_transfers
+from scan3d.laboratory.logs import (
+    CHANNELS,
+    Log,
+    check_directions,
+    ends,
+    read_log,
+    strokes,
+    travel_angles,
+    without_transfers,
+)
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.signals import find_air, given_air, robust_sd, tare
-from scan3d.numbers import share
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
 from scan3d.spatial import inverse
+from scan3d.units import share
 
 KIND = "import"
 """What the source of an imported recording is."""
-_FORCES_IN_PLANE = [0, 1]
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
 # Part of the rows that another frame of the wrench must make those of a bent rod to be named.
@@ -341,7 +349,7 @@ def _clamp_wrench(wrench: Array, present: Mask, map: Map, where: str) -> tuple[A
     needed = np.abs(matrix) > 1e-12 * scale  # less is rounding of the turn
     known: Mask = ~(needed & ~present).any(axis=1)
     missing = [channel for channel in IN_PLANE if not known[channel]]
-    if map.known is not None and len(missing) != 1 and missing != _FORCES_IN_PLANE:
+    if map.known is not None and len(missing) != 1 and missing != [0, 1]:
         raise InputError(
             f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, or for fx and fy, and of these "
             f'{len(missing)} are missing; leave its column empty (""), or leave out [known]'
@@ -400,7 +408,7 @@ def _recording(
     wrench: Array,
     known: Mask,
 ) -> Recording:
-    by_moments = map.known is not None and not known[_FORCES_IN_PLANE].any()
+    by_moments = map.known is not None and not known[:2].any()
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
     return Recording(
         sweep=sweep,
@@ -433,8 +441,7 @@ def _speed(recording: Recording, clock: Array) -> float:
 def _check_sizes(recording: Recording, map: Map, table: str) -> None:
     """Raise InputError if travel, force or moment can't be those of the rod, with the entry of the map to check."""
     rod = recording.rod
-    _, first = np.unique(recording.sweep, return_index=True)
-    last = len(recording) - 1 - np.unique(recording.sweep[::-1], return_index=True)[1]
+    _, first, last = ends(recording.sweep)
     travel = np.linalg.norm(recording.position_m[last] - recording.position_m[first], axis=1) / rod.length_m
     median = float(np.median(travel))
     if not _TRAVELS[0] <= median <= _TRAVELS[1]:
@@ -449,7 +456,7 @@ def _check_sizes(recording: Recording, map: Map, table: str) -> None:
     largest = float(force.max()) / rod.force_unit_N
     if not _FORCES[0] < largest < _FORCES[1]:
         raise InputError(
-            f"{table}: the largest force, {numbers.force(force.max())}, is {largest:.3g} times EI/L² of the rod, where "
+            f"{table}: the largest force, {units.force(force.max())}, is {largest:.3g} times EI/L² of the rod, where "
             f"{_FORCES[0]:g} to {_FORCES[1]:g} are expected; check [units] force, the columns of the force, [tare] and [rod] "
             f"of {map.name}"
         )

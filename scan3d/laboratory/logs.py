@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Mask, ratio
+from scan3d.arrays import LARGEST, MEDIAN_OF_NORMAL, NEGLIGIBLE, Array, Mask, ratio
 from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean
 from scan3d.files.tables import Table
 from scan3d.laboratory.maps import Map, Orientation, Reference
-from scan3d.laboratory.signals import SD_OVER_MAD
 from scan3d.poses import MOVES, Move
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 
@@ -346,7 +345,7 @@ def _error(values: Array) -> float:
         return 0.0
     second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // 20_000)])
     # of three independent errors with the weights 1, -2, 1
-    return float(np.median(second, axis=0).max()) * SD_OVER_MAD / float(np.sqrt(6))
+    return float(np.median(second, axis=0).max()) / MEDIAN_OF_NORMAL / float(np.sqrt(6))
 
 
 def _encoder_step(values: Array) -> float:
@@ -418,7 +417,7 @@ def without_transfers(
     orientation, if the clamp is no farther from the body along the rod, and if both pass each other.  Elsewhere the rod may
     have been out of reach.
     """
-    numbers, first, last = _ends(sweep)
+    numbers, first, last = ends(sweep)
     place = np.searchsorted(numbers, sweep[sweep >= 0])
     hits, count = np.bincount(place, weights=touched[sweep >= 0]), np.bincount(place)
     with_contact = (hits >= 3) & (hits >= 0.01 * count)
@@ -436,7 +435,7 @@ def without_transfers(
     return renumbered[np.where(sweep >= 0, np.searchsorted(numbers, sweep), -1)], int((~kept).sum())
 
 
-def _ends(sweep: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
+def ends(sweep: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
     """The numbers (s,) of the sweeps of rows (n,), and the first and last row of each."""
     rows = np.flatnonzero(sweep >= 0)
     numbers, first = np.unique(sweep[rows], return_index=True)
@@ -446,7 +445,7 @@ def _ends(sweep: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]
 
 def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> Array:
     """Angle (s,) in radians of each sweep's travel to the -x axis of the clamp; NaN for one without travel."""
-    numbers, first, last = _ends(sweep)
+    numbers, first, last = ends(sweep)
     if not len(numbers):
         return np.empty(0)
     travel = position[last] - position[first]

@@ -17,11 +17,10 @@ from scan3d.files.reading import REQUIRED, Section, did_you_mean, read_rod, read
 from scan3d.files.recordings import TABLE, gravity_of, read_known
 from scan3d.files.tables import Layout
 from scan3d.frames import Frame
-from scan3d.numbers import is_finite
 from scan3d.recording import Known
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity, Rod
-from scan3d.units import FACTORS, UNITS_M, spelled
+from scan3d.units import FACTORS, UNITS_M, is_finite, spelled
 
 Reference = str | int
 """A column: its name, or its number from 1; with ``-`` before a name its sign is reversed, and

@@ -30,8 +30,6 @@ COLUMNS = ("x0", "f0x", "f0y", "m0z")
 SI_COLUMNS = ("x0_m", "f0x_N", "f0y_N", "m0z_Nm")
 # What a recording has and one sweep in one plane has not.
 _POSE = {"qw", "qx", "qy", "qz"}
-# What is not known of a contact whose force does not stand out from the noise.
-_VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope")
 
 
 @dataclass(frozen=True)
@@ -286,13 +284,7 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
     undetermined = felt & given & ~np.isfinite(f0x + f0y + m0z)
     hidden = (found.status == planar.Status.OK) & ~felt
-    found = replace(
-        found,
-        **{name: _kept(getattr(found, name), ~hidden) for name in _VALUES},
-        phase=np.where(hidden, planar.Phase.NONE, found.phase).astype(np.int8),
-        status=np.where(hidden, planar.Status.NO_FORCE, found.status).astype(np.int8),
-        normal_source=np.where(hidden, planar.NormalSource.NONE, found.normal_source).astype(np.int8),
-    )
+    found = found.refused(hidden, planar.Status.NO_FORCE)
     touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
     if not touching.any():
         codes, counts = np.unique(found.status[~undetermined], return_counts=True)
@@ -304,13 +296,9 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     if sweep.rod is not None and sweep.rod.diameter_m:
         radius = _kept(sweep.rod.radius_m(found.s1) / in_length, tangential)
         found = replace(found, point=found.point - np.nan_to_num(radius[:, None] * found.normal))
-    errors = planar.Errors(
-        point=_kept(errors.point, touching),
-        largest=_kept(errors.largest, touching),
-        s1=_kept(errors.s1, touching),
-        friction_angle=_kept(errors.friction_angle, tangential),
-        slope=_kept(errors.slope, tangential),
-    )
+    of_slope = ("friction_angle", "slope")
+    known = ((values, tangential if name in of_slope else touching) for name, values in errors._asdict().items())
+    errors = planar.Errors(*(_kept(values, rows) for values, rows in known))
     return SweepContacts(sweep, found, errors, (force, moment), undetermined)
 
 

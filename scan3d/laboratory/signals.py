@@ -23,11 +23,9 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from scan3d.arrays import NEGLIGIBLE, SOME, Array, Mask, evenly
+from scan3d.arrays import MEDIAN_OF_NORMAL, NEGLIGIBLE, SOME, Array, Mask, evenly
 from scan3d.errors import InputError
 
-# Standard deviation over the median of the absolute deviations of a normal distribution.
-SD_OVER_MAD = 1.4826
 # Rows of a stretch at least.
 _FEWEST = 5
 # Standard deviations of the noise that a row in the air may deviate, and standard errors from which a slope counts.
@@ -104,9 +102,9 @@ def robust_sd(residuals: Array) -> Array:
     """Standard deviations (c,) of residuals (m, c), most of which are noise; also of noise that few steps resolve."""
     absolute = np.abs(residuals)
     median, most = np.percentile(absolute, [50, 90], axis=0)
-    mad = SD_OVER_MAD * median
+    mad = median / MEDIAN_OF_NORMAL
     # steps of a converter make more than half of the residuals equal
-    inside = absolute <= 3 * np.maximum(mad, SD_OVER_MAD * most)
+    inside = absolute <= 3 * np.maximum(mad, most / MEDIAN_OF_NORMAL)
     rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / np.maximum(inside.sum(axis=0), 1))
     coarse = np.array([len(np.unique(column[:SOME])) < 64 for column in residuals.T])
     return np.asarray(np.where((mad == 0) | coarse, rms, mad))
@@ -208,7 +206,7 @@ def _refined(wrench: Array, clock: Array, runs: Stretches, scale: Array) -> Stre
     level = [(start, line) for (start, _), (line, rise) in zip(runs, lines, strict=True) if (rise <= scale).all()]
     if not level:
         return []
-    noise = np.median([SD_OVER_MAD * np.median(line, axis=0) for _, line in level], axis=0)
+    noise = np.median([np.median(line, axis=0) / MEDIAN_OF_NORMAL for _, line in level], axis=0)
     inner = np.concatenate([wrench[a:b] for a, b in runs])
     limit = _SIGMAS * noise + _steps(inner) + NEGLIGIBLE * np.abs(wrench).max(axis=0)
     found = []
@@ -230,7 +228,7 @@ def _from_line(time: Array, values: Array) -> tuple[Array, Array]:
     level = np.median(v - slope * (t - middle)[:, None], axis=0)
     for _ in range(3):
         away = np.abs(v - level - slope * (t - middle)[:, None])
-        kept = (away <= _SIGMAS * SD_OVER_MAD * np.median(away, axis=0)).all(axis=1)
+        kept = (away <= _SIGMAS / MEDIAN_OF_NORMAL * np.median(away, axis=0)).all(axis=1)
         if kept.sum() < _FEWEST:
             break
         middle, level, slope, _ = _line(t[kept], v[kept])
@@ -252,7 +250,7 @@ def _within_noise(wrench: Array, clock: Array, stretches: Stretches, calm: Mask)
     first = tare(wrench, clock, stretches)
     deviation = wrench - first.zero
     level = np.array([np.median(deviation[a:b], axis=0) for a, b in stretches])
-    slack = 6 * SD_OVER_MAD * np.median(np.abs(level), axis=0) + NEGLIGIBLE * np.abs(wrench).max(axis=0)
+    slack = 6 / MEDIAN_OF_NORMAL * np.median(np.abs(level), axis=0) + NEGLIGIBLE * np.abs(wrench).max(axis=0)
     slack += _steps(wrench[first.rows])
     near = calm & (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
     over = 15  # rows, by whose mean light contact is distinguished from noise
@@ -286,7 +284,7 @@ def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
         # shorter stretches have less certain zeros
         variance = np.maximum(np.median(count[kept]) / count[kept], 1.0)
         weight = np.sqrt((variance + variance[before] + variance[after]) / 3)[:, None]
-        usual = SD_OVER_MAD * np.median(deviation, axis=0)
+        usual = np.median(deviation, axis=0) / MEDIAN_OF_NORMAL
         excess = (deviation / (6 * usual * weight + harmless)).max(axis=1)
         if excess.max() <= 1:
             break
@@ -345,7 +343,7 @@ def blurred(values: Array, filtered: Array, clock: Array, limit_hz: float, rate:
     What the filter takes away is noise, but for these rows; slower than twice the limit, little of the noise is left in it.
     """
     taken = np.abs(low_pass(values - filtered, clock, min(2 * limit_hz, 0.45 * rate), rate, where))
-    noise = SD_OVER_MAD * np.median(taken, axis=0)
+    noise = np.median(taken, axis=0) / MEDIAN_OF_NORMAL
     # in a log without noise all changes stand out: those below 1e-4 of the largest force or moment are no harm
     smallest = 1e-4 * np.repeat([np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()], 3)
     changed = (taken > np.maximum(6 * noise, smallest)).any(axis=1)

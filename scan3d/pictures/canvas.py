@@ -19,8 +19,8 @@ from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import parts
+from scan3d.pictures.parts import Scene, contact_sentence
 from scan3d.pictures.rendering import renders
-from scan3d.pictures.scene import Scene, contact_sentence
 
 # Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
 DIRECTION = (1.0, -1.3, 0.8)

@@ -22,7 +22,7 @@ from scan3d.errors import InputError
 from scan3d.files.whole import atomic, check_file
 from scan3d.pictures import rendering, views
 from scan3d.pictures.figures import own_style, save
-from scan3d.pictures.scene import Scene, of_cloud
+from scan3d.pictures.parts import Scene, of_cloud
 from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
 from scan3d.recording import Recording
 from scan3d.shown import Rows
@@ -78,8 +78,6 @@ def plot(
     be written, and where nothing can be rendered, which reactions and histograms do not need.
     """
     drawn = sheet(size, dpi, camera)
-    if path is not None:
-        _check_place(path, overwrite)
     import trimesh
 
     for name, body in (("truth", truth), ("against", against)):
@@ -128,16 +126,12 @@ def scene_image(
 ) -> Image:
     """A picture of a scene, drawn off screen on a sheet; the other arguments as in `plot`."""
     if path is not None:
-        _check_place(path, overwrite)
+        check_file(views.check_path(Path(path)), {}, overwrite, "path")
     if against is not None:
         if view not in WITH_OTHER:
             raise InputError(f"surfaces are compared in the views {one_of(WITH_OTHER)}, got {view!r}")
         scene = scene.against(against)
     return _written(lambda: views.figure(scene, view, color, drawn), path)
-
-
-def _check_place(path: str | os.PathLike[str], overwrite: bool) -> None:
-    check_file(views.check_path(Path(path)), {}, overwrite, "path")
 
 
 def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Image:

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array, weighted_quantiles
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.numbers import FORCES, MOMENTS, UNITS, reaction_unit
 from scan3d.pictures import parts
 from scan3d.pictures.figures import own_style
-from scan3d.pictures.scene import Scene
+from scan3d.pictures.parts import Scene
 from scan3d.recording import Recording
-from scan3d.units import UNITS_M, unit_symbol
+from scan3d.units import FORCES, MOMENTS, UNITS, UNITS_M, reaction_unit, unit_symbol
 
 # The scripts in the order in which they run: one script, whose parts see each other's names.
 _SCRIPTS = ("view", "layers", "player", "tools", "main")

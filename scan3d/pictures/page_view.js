@@ -12,7 +12,7 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unitVector = a => a.map(x => x / (Math.hypot(...a) || 1));
 const fontSize = () => parseFloat(getComputedStyle(document.body).fontSize);
-// Numbers as `scan3d.numbers` writes them.
+// Numbers as `scan3d.units` writes them.
 const number = (x, digits = 3, up = false) => {
   if (x === 0) return "0";
   let rounded = +x.toPrecision(digits);

@@ -28,10 +28,9 @@ from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of
 from scan3d.choices import MODELS, SPACINGS, Model, Spacing
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.numbers import is_finite
 from scan3d.recording import Recording
 from scan3d.rods import Gravity, Rod
-from scan3d.units import UNITS_M, Unit
+from scan3d.units import UNITS_M, Unit, is_finite
 
 LARGEST_FRICTION = 100.0
 """Largest coefficient of friction.  No materials come near it, and beyond it steep forces lose their digits."""

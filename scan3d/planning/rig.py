@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from scan3d import numbers
+from scan3d import units
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
@@ -233,19 +233,19 @@ class RigPlan:
         if self.clearance > largest:
             needed = self.around.width / 2 / (1 - self.clearance)
             raise InputError(
-                f"a rod of {numbers.length(length, unit, digits=4)} doesn't reach the axis of {self.around} from a "
+                f"a rod of {units.length(length, unit, digits=4)} doesn't reach the axis of {self.around} from a "
                 "clearance of "
                 f"{self.clearance:g} rod lengths; choose a rod of at least "
-                f"{numbers.length(1.01 * needed, unit, up=True)}, or less clearance"
+                f"{units.length(1.01 * needed, unit, up=True)}, or less clearance"
             )
         if self.max_force_N is None:
             return self.clearance
         least = largest_force(rod, largest)
         if least > self.max_force_N:
             raise InputError(
-                f"this rod may push with up to {numbers.force(least)} where it still reaches the axis of "
+                f"this rod may push with up to {units.force(least)} where it still reaches the axis of "
                 f"{self.around}, and the limit "
-                f"is {numbers.force(self.max_force_N)}; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times "
+                f"is {units.force(self.max_force_N)}; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times "
                 "the diameter, or a "
                 f"longer one"
             )

@@ -18,24 +18,27 @@ from scipy.special import chdtri
 import planar
 from scan3d.arrays import Array, Index, evenly
 from scan3d.cloud import Cloud, Tilt
-from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import readings, renumbered, rest, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
-from scan3d.reconstruction.errors import NoContactError, felt, noise_in_air, torsion_sd, with_rig_errors
-from scan3d.reconstruction.misfits import (
+from scan3d.reconstruction.errors import (
     DISTURBED,
     ROUNDING,
     Errors,
     Misfit,
+    NoContactError,
     against_single_force,
     beyond_tangents,
     depths_in_hull,
     deviations,
+    felt,
+    noise_in_air,
+    torsion_sd,
+    with_rig_errors,
 )
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import FORCE, LARGEST_OVER_SD, Recording, rounding_sd
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, angle, length, number, point, share
 
 BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""

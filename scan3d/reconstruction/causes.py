@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.frames import euler_of, wrench_matrix
-from scan3d.numbers import angle, force, length, moment
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial.march import free_reactions
+from scan3d.units import angle, force, length, moment
 
 _CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 _ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")

@@ -17,21 +17,24 @@ import planar
 from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
-from scan3d.numbers import number, share
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
-from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
-from scan3d.reconstruction.misfits import (
+from scan3d.reconstruction.errors import (
     DISTURBED,
     Errors,
     Misfit,
     against_single_force,
     beyond_tangents,
+    contact_tolerance,
     depths_in_hull,
+    felt,
+    tip_sigmas,
+    too_light,
 )
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial import inverse
+from scan3d.units import number, share
 
 # A fault is named if its correction removes at least this part of the root mean square misfit; it is refined if a first search
 # finds this part.

@@ -38,9 +38,8 @@ from scan3d.arrays import Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, LeftOut
 from scan3d.reconstruction.agreement import COMPARED, FALSE_ALARM, LARGEST_SHARE, Compared, compared_in_slices, kappa
 from scan3d.reconstruction.contacts import contacts, model_of, on_surface, renumbered, rest, spatial_contacts
-from scan3d.reconstruction.errors import RIGHT_ROWS, felt, noise_in_air, with_rig_errors
+from scan3d.reconstruction.errors import RIGHT_ROWS, ROUNDING, depths_in_hull, felt, noise_in_air, with_rig_errors
 from scan3d.reconstruction.hollow import without_second_contacts
-from scan3d.reconstruction.misfits import ROUNDING, depths_in_hull
 from scan3d.recording import Recording
 from scan3d.rigs import with_relative
 

@@ -2,28 +2,35 @@
 
 The rig knows the body's mesh; nothing that reads its log does.  The rod's weight is not modelled: in the air all reactions are
 zero, up to the faults.
+
+What real rigs do to a log, a TOML file of faults says: the wrench lags, is seen by a sensor that is turned and offset, drifts,
+and is noisy.  The order is that of a real chain: the wrench at the clamp, the sensor's filter and clock, its frame and sign,
+bias, drift and noise of its bridges, the steps of its converter, and rows that the logger loses.  Sizes of bias, drift, noise
+and quanta are given in N and N·m, or as a fraction of the largest force and of the largest moment of the log.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import NEGLIGIBLE, Array
+from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.errors import InputError
-from scan3d.frames import check_positions
+from scan3d.files.reading import Section, read_section
+from scan3d.frames import check_positions, to_inner, turn_of
 from scan3d.geometry.convexity import check_body, check_convex
 from scan3d.geometry.distance import segments_meet
 from scan3d.poses import TABLE, Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rods import Rod
-from scan3d.simulation.faults import Faults, kept, logged_positions, measured
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.units import UNITS_M
 
@@ -258,3 +265,251 @@ def _warnings(
             f"in {lost} sweeps the computation found no equilibrium after some place, as at a snap; none is logged"
         )
     return tuple(sentences)
+
+
+SHOWS = ("clamp-on-rod", "rod-on-clamp")
+"""Which wrench the sensor shows; the first is that of a recording."""
+DRIFTS = ("linear", "random-walk")
+# Streams of random numbers: each fault draws from a separate one, so that one fault does not change the others.
+_BIAS, _DRIFT, _WHITE, _PINK, _JITTER, _MISSING = range(6)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A size of forces and moments: absolute, or relative to the largest of the log."""
+
+    force_N: float = 0.0
+    moment_Nm: float = 0.0
+    fraction: float = 0.0
+
+    def of(self, largest: tuple[float, float]) -> tuple[float, float]:
+        """In N and N·m; the absolute and the relative part are added."""
+        return self.force_N + self.fraction * largest[0], self.moment_Nm + self.fraction * largest[1]
+
+    def __bool__(self) -> bool:
+        return bool(self.force_N or self.moment_Nm or self.fraction)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a sensor sits in the frame of the clamp: its origin in mm, and its turn as "xyz" Euler angles in degrees."""
+
+    position_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    euler_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Faults:
+    """The faults of a rig; by default none.  `read_faults` describes the keys of the file that has them."""
+
+    seed: int = 0
+    rate_hz: float = 1000.0
+    speed_mm_s: float | None = None
+    """Of the clamp; None: as planned."""
+    sensor: Place = field(default_factory=Place)
+    nominal: Place = field(default_factory=Place)
+    """What the experimenter takes for the sensor's place."""
+    shows: str = SHOWS[0]
+    bias: Size = field(default_factory=Size)
+    bias_force_N: tuple[float, ...] | None = None
+    bias_moment_Nm: tuple[float, ...] | None = None
+    drift: Size = field(default_factory=Size)
+    drift_kind: str = DRIFTS[0]
+    noise: Size = field(default_factory=Size)
+    pink: Size = field(default_factory=Size)
+    quantum: Size = field(default_factory=Size)
+    quantum_um: float = 0.0
+    lag_ms: float = 0.0
+    jitter_um: float = 0.0
+    clock_ms: float = 0.0
+    length_error: float = 0.0
+    stiffness_error: float = 0.0
+    missing: float = 0.0
+    gap_ms: float = 0.0
+
+
+def read_faults(path: str | Path) -> Faults:
+    """The faults in a TOML file, all of whose keys are optional.
+
+    ==================  ================================================================================================
+    ``seed``            of all random numbers, 0 by default; the option ``--seed`` takes precedence
+    ``rate_hz``         rows per second, 1000 by default
+    ``speed_mm_s``      of the clamp; by default that of the plan
+    ``[sensor]``        ``position_mm``, ``euler_deg`` ("xyz"): its frame in the clamp's; ``shows``: "clamp-on-rod" or
+                        "rod-on-clamp"; ``nominal = {position_mm, euler_deg}``: what the experimenter takes them for
+    ``[bias]``          ``force_N``, ``moment_Nm``: three numbers each; or ``fraction``, in a random direction
+    ``[drift]``         ``kind``: "linear" or "random-walk"; size at the end of the log
+    ``[noise]``         standard deviation of each channel: white, and with the prefix ``pink_`` that of 1/f noise
+    ``[quantisation]``  steps of the channels; ``position_um``: of the positions
+    ``[lag]``           ``ms``: time constant of a low-pass of the first order before the wrench is logged
+    ``[pose]``          ``jitter_um``: standard deviation of each logged coordinate; ``clock_ms``: delay of the wrenches
+    ``[rod]``           ``length_error``, ``stiffness_error``: relative differences of the true rod from the nominal one
+    ``[missing]``       ``fraction`` of the rows that are lost, in gaps of ``gap_ms``; by default of one row
+    ==================  ================================================================================================
+
+    Raises InputError with the name of the file and the error in it.
+    """
+    file = read_section(path, "faults")
+    sensor, bias, drift, noise, quantum, lag, pose, rod, missing = (
+        file.section(name)
+        for name in ("sensor", "bias", "drift", "noise", "quantisation", "lag", "pose", "rod", "missing")
+    )
+    faults = Faults(
+        seed=file.integer("seed", 0, at_least=0),
+        rate_hz=file.number("rate_hz", Faults.rate_hz, above=0),
+        speed_mm_s=file.number("speed_mm_s", None, above=0),
+        sensor=_place(sensor),
+        nominal=_place(sensor.section("nominal")),
+        shows=sensor.word("shows", SHOWS),
+        bias=Size(fraction=bias.number("fraction", 0.0, at_least=0)),
+        bias_force_N=bias.numbers("force_N", 3, None),
+        bias_moment_Nm=bias.numbers("moment_Nm", 3, None),
+        drift=_size(drift),
+        drift_kind=drift.word("kind", DRIFTS),
+        noise=_size(noise),
+        pink=_size(noise, "pink_"),
+        quantum=_size(quantum),
+        quantum_um=quantum.number("position_um", 0.0, at_least=0),
+        lag_ms=lag.number("ms", 0.0, at_least=0),
+        jitter_um=pose.number("jitter_um", 0.0, at_least=0),
+        clock_ms=pose.number("clock_ms", 0.0),
+        length_error=rod.number("length_error", 0.0, above=-1, below=1),
+        stiffness_error=rod.number("stiffness_error", 0.0, above=-1, below=1),
+        missing=missing.number("fraction", 0.0, at_least=0, below=1),
+        gap_ms=missing.number("gap_ms", 0.0, at_least=0),
+    )
+    file.finish()
+    return faults
+
+
+def _size(section: Section, prefix: str = "") -> Size:
+    force, moment, fraction = (
+        section.number(prefix + key, 0.0, at_least=0) for key in ("force_N", "moment_Nm", "fraction")
+    )
+    return Size(force, moment, fraction)
+
+
+def _place(section: Section) -> Place:
+    none = (0.0, 0.0, 0.0)
+    return Place(section.numbers("position_mm", 3, none), section.numbers("euler_deg", 3, none))
+
+
+def _generator(faults: Faults, stream: int) -> np.random.Generator:
+    return np.random.default_rng([faults.seed, 5, stream])
+
+
+def measured(force: Array, moment: Array, faults: Faults, untouched: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """(n, 6) what the sensor logs of the true force (n, 3) and moment (n, 3) at the clamp, sampled at `faults.rate_hz`.
+
+    untouched
+        force and moment that fractions are relative to if nothing is touched.
+    """
+    largest = float(np.linalg.norm(force, axis=1).max()), float(np.linalg.norm(moment, axis=1).max())
+    largest = largest if any(largest) else untouched
+    delayed = lagged(np.concatenate([force, moment], axis=1), faults)
+    turn, place = turn_of(faults.sensor.euler_deg), np.array(faults.sensor.position_mm) / 1000
+    wrench: Array = np.hstack(to_inner(delayed[:, :3], delayed[:, 3:], turn, place))
+    if faults.shows != SHOWS[0]:
+        wrench = -wrench
+    wrench = wrench + _bias(faults, largest) + _drift(len(wrench), faults, largest)
+    white = _generator(faults, _WHITE)
+    if faults.noise:
+        wrench = wrench + white.standard_normal(wrench.shape) * _by_channel(faults.noise, largest)
+    if faults.pink:
+        random = _generator(faults, _PINK)
+        sizes = _by_channel(faults.pink, largest)
+        wrench = wrench + np.stack([size * pink_noise(len(wrench), random) for size in sizes], axis=1)
+    return rounded(wrench, _by_channel(faults.quantum, largest))
+
+
+def _by_channel(size: Size, largest: tuple[float, float]) -> Array:
+    """(6,) the size of each channel."""
+    return np.repeat(size.of(largest), 3)
+
+
+def lagged(values: Array, faults: Faults) -> Array:
+    """Columns (n, k) after a low-pass of the first order, and later by the clock's offset."""
+    if faults.lag_ms:
+        from scipy.signal import lfilter  # takes half a second, also where nothing is disturbed
+
+        keep = np.exp(-1000 / faults.rate_hz / faults.lag_ms)
+        values = lfilter([1 - keep], [1, -keep], values, axis=0)
+    if faults.clock_ms:
+        time = np.arange(len(values)) / faults.rate_hz
+        shifted = time - faults.clock_ms / 1000
+        values = np.stack([np.interp(shifted, time, column) for column in values.T], axis=1)
+    return values
+
+
+def _bias(faults: Faults, largest: tuple[float, float]) -> Array:
+    """(6,) the offsets of the channels; those given as a fraction point in a random direction."""
+    relative = np.array(faults.bias.of(largest))
+    bias: Array = _directions(_generator(faults, _BIAS)) * np.repeat(relative, 3)
+    for part, given in ((slice(0, 3), faults.bias_force_N), (slice(3, 6), faults.bias_moment_Nm)):
+        if given is not None:
+            bias[part] = given
+    return bias
+
+
+def _directions(random: np.random.Generator) -> Array:
+    """(6,) two random unit vectors, of a force and of a moment."""
+    vectors = random.standard_normal((2, 3))
+    return np.asarray((vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).ravel())
+
+
+def _drift(rows: int, faults: Faults, largest: tuple[float, float]) -> Array:
+    """(n, 6) drift from zero.
+
+    A linear one has the stated size at the end of the log, in a random direction; a random walk has it as the root mean square
+    at the end of many logs.
+    """
+    if not faults.drift:
+        return np.zeros((rows, 6))
+    random, size = _generator(faults, _DRIFT), _by_channel(faults.drift, largest)
+    if faults.drift_kind == "linear":
+        return np.linspace(0, 1, rows)[:, None] * (_directions(random) * size)
+    steps = random.standard_normal((rows, 6)) * (size / np.sqrt(3 * max(rows - 1, 1)))
+    steps[0] = 0.0
+    return np.asarray(np.cumsum(steps, axis=0))
+
+
+def pink_noise(rows: int, random: np.random.Generator) -> Array:
+    """(n,) noise with the power spectrum 1/f and the standard deviation 1 in the mean over many logs."""
+    length = next_fast_len(max(rows, 2), real=True)
+    count = length // 2 + 1
+    frequency = np.arange(1, count)
+    amplitude = np.concatenate([[0.0], frequency**-0.5])
+    spectrum = amplitude * (random.standard_normal(count) + 1j * random.standard_normal(count))
+    # the sum over both halves of the spectrum of the expected power
+    power = 2 * (amplitude[1:] ** 2 * 2).sum() / length**2
+    noise: Array = irfft(spectrum, length)[:rows]
+    return np.asarray(noise / np.sqrt(power))
+
+
+def rounded(values: Array, step: Array) -> Array:
+    """Columns (n, k) in whole steps (k,); a step of 0 leaves a column as it is."""
+    safe = np.where(step > 0, step, 1.0)
+    return np.where(step > 0, np.round(values / safe) * safe, values)
+
+
+def logged_positions(position_m: Array, faults: Faults) -> Array:
+    """(n, 3) positions as they are logged: with jitter, and in steps."""
+    if faults.jitter_um:
+        jitter = _generator(faults, _JITTER).standard_normal(position_m.shape)
+        position_m = position_m + faults.jitter_um * 1e-6 * jitter
+    return rounded(position_m, np.full(3, faults.quantum_um * 1e-6))
+
+
+def kept(rows: int, faults: Faults) -> Mask:
+    """(n,) which rows are not lost."""
+    keep = np.ones(rows, dtype=bool)
+    if not faults.missing:
+        return keep
+    gap = max(1, round(faults.gap_ms * faults.rate_hz / 1000))
+    random = _generator(faults, _MISSING)
+    # where gaps may overlap, so many begin that the stated fraction is lost in the mean
+    begins = random.random(rows) < 1 - (1 - faults.missing) ** (1 / gap)
+    for row in np.flatnonzero(begins):
+        keep[row : row + gap] = False
+    keep[[0, -1]] = True
+    return keep

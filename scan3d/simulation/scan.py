@@ -19,7 +19,6 @@ from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body, check_convex, is_convex
 from scan3d.geometry.sections import extent_along, slice_frame
-from scan3d.numbers import length
 from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
 from scan3d.planning.plan import (
     FIRST_SWEEPS,
@@ -50,7 +49,7 @@ from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
 from scan3d.spatial.sweeping import Sweeps, sweep
 from scan3d.spatial.touchdown import passages
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, length
 from scan3d.workers import shared
 
 Progress = Callable[[int, int], None]

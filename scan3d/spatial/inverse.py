@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
-from planar.inverses import solve
-from planar.tables import Explained
+from planar.march import solve
+from planar.plots import Explained
 from planar.uncertainty import DIFFERENCE
 from scan3d.arrays import Array, Index
 from scan3d.spatial import march

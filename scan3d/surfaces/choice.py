@@ -20,11 +20,11 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import clipped, hull, offset_inwards
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
-from scan3d.numbers import length
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, room, with_edges
 from scan3d.surfaces.regression import regression
+from scan3d.units import length
 
 # A hull with a bound this small, over the diagonal, is taken as it is.
 _PROVEN = 1e-4

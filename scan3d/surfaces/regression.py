@@ -132,8 +132,10 @@ def _groups(points: Array, normals: Array) -> Index:
 def fit_planes(contacts: Contacts, group: Index) -> Planes:
     """The planes fitted to contacts (n,) that are first grouped by numbers (n,)."""
     points = contacts.points
-    group = _numbered(group)
-    planes, group = _fitted(contacts, _means(unit(points - points.mean(axis=0)), group), group)
+    group = np.unique(group, return_inverse=True)[1]
+    outward = unit(points - points.mean(axis=0))
+    middle = unit(_sums(group, np.ones(len(group)), outward, int(group.max()) + 1))
+    planes, group = _fitted(contacts, middle, group)
     best, best_round, least = planes, 0, np.inf
     for number in range(_ROUNDS):
         for _ in range(_STEPS):
@@ -288,16 +290,6 @@ def _shown(vertices: Array, planes: Planes, points: Array, group: Index, near: f
         if len(members):
             shown[of_plane] &= cKDTree(members).query(vertices[of_plane])[0] <= near
     return shown
-
-
-def _numbered(group: Index) -> Index:
-    """Groups (n,) numbered from 0 without gaps."""
-    return np.asarray(np.unique(group, return_inverse=True)[1])
-
-
-def _means(vectors: Array, group: Index) -> Array:
-    """(k, 3) unit vectors along the means of unit vectors (n, 3) in groups (n,)."""
-    return unit(_sums(group, np.ones(len(group)), vectors, int(group.max()) + 1))
 
 
 def _sums(group: Index, weight: Array, values: Array, count: int) -> Array:
