@@ -45,6 +45,12 @@ def test_surface_of_a_body_with_a_waist():
     assert np.hypot(*surface.vertices[middle, :2].T).max() < 6.8
 
 
+def test_surface_of_a_convex_body_is_the_hull_of_its_contacts():
+    recording = recording_of(lambda z: 10 * np.sqrt(1 - (z / 25) ** 2), HEIGHTS, samples=24)
+    cloud = contacts(recording)
+    assert carved(recording, cloud).surface.volume == pytest.approx(hull(cloud.points).volume, rel=1e-3)
+
+
 def test_vertices_that_are_known_lie_within_the_spacing_of_a_contact():
     recording, cloud = peanut()
     found = carved(recording, cloud)

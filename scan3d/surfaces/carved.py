@@ -81,7 +81,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     unreached = _unreached(contours, sheets, spacing)
     points = np.concatenate([touched.points, unreached, _flat(sheets, spacing)])
     corners = kept_apart(points, _SAME * spacing)
-    faces = corners[_bounded(points[corners], sheets, spacing)]
+    faces = corners[_bounded(points[corners], corners < len(touched), sheets, spacing)]
     # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
     points[: len(cloud)] = cloud.points
     vertices, faces = _refined(points, faces, 2 * spacing)
@@ -131,8 +131,11 @@ def _depth(points: Array, sheets: list[Sheets]) -> Array:
     return np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
 
 
-def _bounded(points: Array, sheets: list[Sheets], spacing: float) -> Index:
-    """Faces (f, 3), outward, of the tetrahedra between points (n, 3) that belong to the body; every edge has two of them."""
+def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float) -> Index:
+    """Faces (f, 3), outward, of the tetrahedra between points (n, 3) that belong to the body; every edge has two of them.
+
+    What the grid does not decide, slivers between contacts, which `touched` (n,) tells, is of the body.
+    """
     thin = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] if len(points) > 3 else 0.0
     if thin < _JOGGLE * spacing * np.sqrt(len(points)):
         raise InputError("the contacts lie in a plane, and span no body; scan more slices")
@@ -143,7 +146,8 @@ def _bounded(points: Array, sheets: list[Sheets], spacing: float) -> Index:
     depth = _depth(places.reshape(-1, 3), sheets).reshape(len(corners), -1).mean(axis=1)
     edges = joggled[corners[:, 1:]] - joggled[corners[:, :1]]
     volume = np.abs(np.linalg.det(edges)) / 6
-    body = depth < 0
+    fine = max(min(sheet.cell, sheet.apart) for sheet in sheets) / 2
+    body = depth < np.where(touched[corners].all(axis=1), fine, 0.0)
     # free space comes from outside, and the body has no splinters in it
     part = _parts(~body, neighbours)
     from_outside = np.zeros(len(body) + 1, dtype=bool)
