@@ -51,6 +51,12 @@ def checked_reactions(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayL
     return Reactions(*columns)
 
 
+def check_direction(direction: int) -> None:
+    """Raise ValueError for what is no sign of the base's motion along x."""
+    if direction not in (-1, 1):
+        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+
+
 def _real(column: ArrayLike) -> Array:
     if np.ma.isMaskedArray(column):
         raise ValueError("x0, f0x, f0y and m0z must be plain arrays, got a masked one; leave the masked rows out")

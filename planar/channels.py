@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, checked_reactions
+from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions
 from planar.march import solve
 from planar.rods import Rod
 from planar.uncertainty import jacobian
@@ -84,8 +84,7 @@ def complete(
         raise ValueError(f"exactly one of f0x, f0y and m0z must be None, got {len(absent)} that are; two are needed")
     if (friction is not None) + (slope is not None) + tip != 1:
         raise ValueError("one of friction, slope and tip must be given in the place of the missing channel")
-    if direction not in (-1, 1):
-        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_direction(direction)
     columns = [np.zeros_like(np.asarray(x0, dtype=float)) if column is None else column for column in given.values()]
     reactions = checked_reactions(x0, *columns)
     missing, side = NAMES.index(absent[0]), -direction

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, segments
-from planar.arrays import BLOCK, Array, Index, checked_reactions
+from planar.arrays import BLOCK, Array, Index, check_direction, checked_reactions
 from planar.contours import Contour, check_contour, mirrored
 from planar.elastica import bend
 from planar.paths import Path
@@ -136,8 +136,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     """
     if np.ndim(friction) or not (np.isfinite(friction) and friction >= 0):
         raise ValueError(f"friction must be one number >= 0, got {friction}")
-    if direction not in (-1, 1):
-        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_direction(direction)
     check_contour(contour)
     side = -direction
     contour = contour if side == 1 else mirrored(contour)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
-from planar.arrays import BLOCK, Array, Mask, Reactions, checked_reactions
+from planar.arrays import BLOCK, Array, Mask, Reactions, check_direction, checked_reactions
 from planar.march import METHODS, solve
 from planar.plots import Explained, counted, to_frame, words
 from planar.rods import Rod
@@ -198,8 +198,7 @@ def reconstruct(
     reactions = checked_reactions(x0, f0x, f0y, m0z)
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    if direction not in (-1, 1):
-        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_direction(direction)
     zero = np.asarray(tolerance, dtype=float)
     if zero.shape not in ((), reactions.x0.shape) or not ((zero >= 0) & (zero < 1)).all():
         given = f"an array of the shape {zero.shape}" if zero.ndim else f"{zero}"

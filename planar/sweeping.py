@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, rod_sweeps, segments
 from planar.any_body import SweepStatus, follow, last_contacts
-from planar.arrays import BLOCK, Array, Index, Mask, Reactions
+from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
 from planar.contours import Contour, Polygon, check_contour, mirrored
 from planar.loops import Outlines
 from planar.paths import Path, check_height, polygon_paths
@@ -179,8 +179,7 @@ def sweep(
     Raises ValueError for friction, base or samples out of their range and for a contour outside the rod's reach.
     Source: the equilibria (3) with (5)-(7) of the paper, in closed form.
     """
-    if direction not in (-1, 1):
-        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_direction(direction)
     if base is None and samples is None:
         samples = np.size(friction) if np.ndim(friction) == 1 else 200  # over which curves look smooth
     if direction == 1:

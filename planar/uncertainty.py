@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import NAMES, Array, Mask, checked_reactions
+from planar.arrays import NAMES, Array, Mask, check_direction, checked_reactions
 from planar.elastica import bend_with_slopes
 from planar.march import solve
 from planar.rods import Rod
@@ -32,8 +32,7 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
     are small compared with the force.
     Raises ValueError for arrays of different lengths and for another direction than -1 or 1.
     """
-    if direction not in (-1, 1):
-        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_direction(direction)
     _, across, along, moment = checked_reactions(np.zeros_like(np.asarray(f0x, dtype=float)), f0x, f0y, m0z)
     side = -direction
     # a sweep in +x is the mirror image of a sweep in -x

@@ -37,7 +37,7 @@ from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
-from scan3d.units import UNITS_M, Unit, unit_of, unit_remark
+from scan3d.units import UNITS_M, Unit, check_unit, unit_of, unit_remark
 
 if TYPE_CHECKING:
     import pandas
@@ -163,8 +163,7 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if unit not in (None, *UNITS_M):
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    check_unit(unit)
     if not path.is_file():
         raise InputError(
             f"there is no file {path}; give a recording, a cloud, a surface or a mesh, and a folder to scan3d.open"
@@ -214,8 +213,7 @@ def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
     stated = mesh.units
     if unit is None and stated is not None and stated not in UNITS_M:
         raise InputError(f"the surface is in {stated!r}; give its unit as one of {', '.join(UNITS_M)}")
-    if unit not in (None, *UNITS_M):
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    check_unit(unit)
     rows = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     return Shape(rows, np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
 

@@ -16,6 +16,8 @@ from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
 from numbers import Real
 from typing import Any, Literal
 
+from scan3d.errors import InputError
+
 Unit = Literal["m", "cm", "mm", "um", "in"]
 UNITS_M: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Length of each unit in metres, by its symbol."""
@@ -24,6 +26,12 @@ UNITS_M: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in":
 def unit_of(mesh: Any, given: str | None) -> str:
     """The unit of a `trimesh.Trimesh`: the given one, or that which the mesh states, or mm."""
     return given or (mesh.units if mesh.units in UNITS_M else "mm")
+
+
+def check_unit(unit: str | None) -> None:
+    """Raise InputError for what is no unit of length; None stands for none."""
+    if unit not in (None, *UNITS_M):
+        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
 
 
 # Units that are taken for one another, the longer one first, the likeliest pairs first.

@@ -21,7 +21,6 @@ from scan3d.cli.terminal import (
     Rig,
     print_result,
     printable,
-    printable_json,
     say,
     table,
 )
@@ -382,7 +381,6 @@ def calibrate(
     from scan3d.calibration.report import calibrate as calibrate_rig
     from scan3d.calibration.report import check_path, sections, write_rig
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.files.text import to_json
     from scan3d.laboratory.importing import not_rigged
 
     if (sphere is not None) == plane:
@@ -395,11 +393,7 @@ def calibrate(
     noise = None if pose_noise is None else scale * pose_noise
     found = calibrate_rig(touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise)
     write_rig(found, out, overwrite=True)  # checked above
-    output.progress.end()
-    if output.json:
-        print(printable_json(to_json(sections(found)).decode()), end="")
-    elif not output.quiet:
-        print("\n".join([*_quantities(found), printable(f"written to {out}")]))
+    print_result(output, sections(found), "\n".join([*_quantities(found), printable(f"written to {out}")]))
     if not output.quiet:
         for sentence in found.sentences:
             say(sentence)

@@ -22,7 +22,7 @@ from scan3d.files.reading import check_file
 from scan3d.geometry import convexity, triangles
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import deepest_dent
-from scan3d.units import UNITS_M, share
+from scan3d.units import UNITS_M, check_unit, share
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
@@ -263,8 +263,7 @@ def _stated_unit(kind: str, head: bytes) -> str | None:
 
 def _scale(path: Path, data: bytes, unit: str) -> float:
     """What the lengths of a file are multiplied by to be in a unit."""
-    if unit not in UNITS_M:
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    check_unit(unit)
     return UNITS_M[_stated_unit(path.suffix[1:].lower(), data[:_HEAD]) or unit] / UNITS_M[unit]
 
 

@@ -21,7 +21,7 @@ from scan3d.arrays import Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.reading import REQUIRED, Section, read_rod, read_section, rod_section
-from scan3d.files.tables import PARQUET, parquet_bytes, read_table
+from scan3d.files.tables import PARQUET, check_single, parquet_bytes, read_table
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, source_kind, write_together
 from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList
@@ -206,11 +206,7 @@ def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tu
             f"rename {', '.join(further)} to read the recording by the planar model"
         )
     columns = (*expected, *further)
-    repeated = [name for name in columns if header.count(name) > 1]
-    if repeated:
-        raise InputError(
-            f"{path.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
-        )
+    check_single(path.name, header, columns)
     return columns
 
 

@@ -16,7 +16,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.reading import check_file
 from scan3d.shown import Exported, Rows
-from scan3d.units import UNITS_M, lengths
+from scan3d.units import UNITS_M, check_unit, lengths
 
 # Types of PLY by the codes of numpy; only those that the tables of scan3d need.
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
@@ -244,8 +244,7 @@ def in_unit(shape: Shape, unit: str | None) -> Shape:
     """The shape with all lengths in another unit; None keeps them.  Raises InputError for an unknown unit."""
     if unit is None or unit == shape.unit:
         return shape
-    if unit not in UNITS_M:
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    check_unit(unit)
     rows = shape.rows.copy()
     for name in POINT + LENGTHS:
         if name in (rows.dtype.names or ()):

@@ -220,6 +220,12 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     return replace(_parsed(name, text, _announced_head(name, lines, layout)), sha256=sha256(path))
 
 
+def check_single(file: str, header: Sequence[str], names: Iterable[str]) -> None:
+    """Raise InputError if one of some names is that of several columns in the header of a file."""
+    if repeated := [name for name in names if header.count(name) > 1]:
+        raise InputError(f"{file}: its header has {', '.join(repeated)} more than once; keep one column of each name")
+
+
 def guessed_layout(path: Path) -> Layout:
     """The layout of a text table as its first lines suggest; arrays have none.  Raises InputError if it can't be read."""
     if path.suffix.lower() in ENDINGS:
@@ -471,9 +477,7 @@ def _parquet(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
         table = parquet.ParquetFile(path).read()
     except ArrowException as error:
         raise InputError(f"can't read {path.name} as Parquet: {error}") from None
-    repeated = sorted({name for name in table.column_names if table.column_names.count(name) > 1})
-    if repeated:
-        raise InputError(f"{path.name} has {', '.join(repeated)} more than once; keep one column of each name")
+    check_single(path.name, table.column_names, sorted({*table.column_names}))
     yield from ((name, table.column(name).to_numpy()) for name in table.column_names)
 
 

@@ -19,7 +19,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.reading import read_rod, read_section
 from scan3d.files.recordings import read_known, sidecar
-from scan3d.files.tables import Table, read_table
+from scan3d.files.tables import Table, check_single, read_table
 from scan3d.files.text import rows_as_text
 from scan3d.reconstruction.errors import contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
@@ -211,10 +211,7 @@ def _columns(table: Table, known: Known | None) -> list[str | None]:
             f"{table.name}: the header of one sweep lacks {', '.join(missing)}; expected {','.join(COLUMNS)} or "
             f"{','.join(SI_COLUMNS)}{separated or instead}"
         )
-    if repeated := [name for name in columns if names.count(name) > 1]:
-        raise InputError(
-            f"{table.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
-        )
+    check_single(table.name, names, columns)
     return [None if name in missing else name for name in columns]
 
 

@@ -26,7 +26,7 @@ from scan3d.pictures.parts import Scene, of_cloud
 from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
 from scan3d.recording import Recording
 from scan3d.shown import Rows
-from scan3d.units import UNITS_M, Unit, unit_of
+from scan3d.units import Unit, check_unit, unit_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -85,8 +85,7 @@ def plot(
             raise InputError(
                 f"{name} must be a trimesh.Trimesh, such as `scan3d.load_mesh` gives, got a {type(body).__name__}"
             )
-    if unit not in (None, *UNITS_M):
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    check_unit(unit)
     default, scene = _shown(what, truth, view, unit)
     return scene_image(scene, view or default, color or "force", drawn, against=against, path=path, overwrite=overwrite)
 
