@@ -79,15 +79,6 @@ _LIKELIER = 12.0
 _ROUGH = 0.01
 # Lengths of the rod that are tried, as quantiles of s1, and the tip contacts that one needs.
 _LENGTHS, _FEWEST_TIPS = np.linspace(0.3, 1.0, 71), 8
-# Noise of the poses in rod lengths: the first estimate, and the misfit beyond which the touches are not of this reference; and
-# a first estimate of the wrench's relative errors.
-_PLACE_NOISE, _NO_FIT, _RELATIVE = 3e-4, 0.01, 2e-3
-# Relative errors of the wrench beyond which it is not that of a rod and a sensor that are read rightly.
-_CONTRADICTION = 0.1
-# Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
-_USABLE, _STIFFEST = 0.3, 2.5
-# Median distance from the reference, in rod lengths, from which on a rod's shape explains nothing: some times that of noise.
-_FAR_OFF = 3e-3
 # What places, and wrenches relative to their sizes, may be off for a rod whose shape is not known yet.
 _SHAPELESS = 0.03
 # Rows in contact by which the fit is begun; and those of a rod that is marched, of which so many tell as much as is needed.
@@ -105,16 +96,13 @@ def calibrated(
         raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
-    if isinstance(reference, str) and reference != Plane.kind:
-        raise InputError(
-            f"the reference sphere needs a diameter above 0, got {reference!r}; the other reference is {Plane.kind!r}"
-        )
     rod = recording.rod
-    touched = Plane.of(rod) if isinstance(reference, str) else Sphere.of(reference, rod)  # type: ignore[arg-type]
+    touched = Plane.of(rod) if reference == Plane.kind else Sphere.of(reference, rod)
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
     problem, nominal = measured(recording, touched, tare)
-    first = _PLACE_NOISE if place is None else max(place / rod.length_m, NEGLIGIBLE)
-    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, _RELATIVE * problem.channels.all())
+    first = ROBOTS / 3 if place is None else max(place / rod.length_m, NEGLIGIBLE)
+    # relative errors of the wrench are usually some thousandths
+    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, 2e-3 * problem.channels.all())
     fit = _of_rig(problem, nominal, noise, place)
     refusal = other = None
     try:
@@ -138,7 +126,7 @@ def _of_rig(problem: Problem, nominal: Rig, noise: Noise, place: float | None) -
     strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, _ROUGH)
     begun = fitted(strong, rig, noise, 1)
     away = np.abs(begun.rows.misclosure[begun.rows.used[:, 2], 2])
-    if nominal.marched and not (len(away) and np.median(away) < _FAR_OFF):  # a fit would take long, and be none
+    if nominal.marched and not (len(away) and np.median(away) < 3 * ROBOTS):  # a fit would take long, and be none
         raise _no_fit(rig.reference, "")
     free = _determined(strong, rig, step * begun.normal)
     if (free != strong.free).any():
@@ -368,11 +356,13 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
 def _check(fit: Fit, recording: Recording) -> None:
     """Raise InputError for a fit that is none, with what was seen."""
     used, noise = fit.rows.used[:, 2], fit.noise
-    usable = used.sum() >= max(FEWEST, _USABLE * len(used))
+    usable = used.sum() >= max(FEWEST, 0.3 * len(used))
     normal = np.diag(fit.normal)[fit.problem.free]
     known = np.isfinite(normal).all() and (normal > 0).all()
-    fits = noise.relative <= _CONTRADICTION and noise.place <= _NO_FIT
-    if fits and fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST:
+    # what deviates by more is not a rod, or not a sensor, that is read rightly, or not this reference
+    fits = noise.relative <= 0.1 and noise.place <= 10 * ROBOTS
+    stiffness_is_likely = 0.1 < math.exp(fit.rig.stiffness) < 10
+    if fits and fit.at_rest and usable and known and stiffness_is_likely:
         return
     seen = (
         [f"force and moment contradict a single force by {share(noise.relative)}"] if fit.problem.channels.all() else []

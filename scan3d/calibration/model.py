@@ -214,12 +214,9 @@ def _of_shape(rig: Rig, force: Array, moment: Array) -> Bent:
     steps = np.hstack([sizes, np.full((n, 3), _DIFFERENCE)])
     with np.errstate(all="ignore"):
         slopes = np.moveaxis((values[1:] - values[0]) / steps.T[:, :, None], 0, -1)
-    (point, tangent, s1, torsion), by = (values[0][:, part] for part in _PARTS), slopes[..., :6]
-    return Bent(point, tangent, s1, by[:, :3], by[:, 3:6], by[:, 6], torsion, by[:, 7], slopes[..., 6:])
-
-
-# Point, tangent, s1 and torsion among the values of a contact.
-_PARTS = slice(0, 3), slice(3, 6), 6, 7
+    point, tangent, s1, torsion = np.split(values[0], [3, 6, 7], axis=1)
+    by = slopes[..., :6]
+    return Bent(point, tangent, s1[:, 0], by[:, :3], by[:, 3:6], by[:, 6], torsion[:, 0], by[:, 7], slopes[..., 6:])
 
 
 class Equations(NamedTuple):

@@ -65,10 +65,12 @@ class Sphere:
     unlike = "the diameter, a reference that is no sphere, such as one of facets"
 
     @classmethod
-    def of(cls, diameter_m: float, rod: Rod) -> Sphere:
-        """The sphere of a diameter that a rod touches, with its centre in the origin."""
+    def of(cls, diameter_m: object, rod: Rod) -> Sphere:
+        """The sphere of a diameter that a rod touches, with its centre in the origin.  Raises InputError for another one."""
         if not (isinstance(diameter_m, (int, float)) and math.isfinite(diameter_m) and diameter_m > 0):
-            raise InputError(f"the reference sphere needs a diameter above 0, got {diameter_m!r}")
+            raise InputError(
+                f"the reference sphere needs a diameter above 0, got {diameter_m!r}; the other reference is 'plane'"
+            )
         if diameter_m > _LARGEST * rod.length_m:
             raise InputError(
                 f"the reference sphere has a diameter of {length(diameter_m, 'm')}, and the rod a length of "
@@ -177,9 +179,6 @@ _AIR, _CONTACT, _CALM = 4.0, 12.0, 6.0
 # Parts of the largest reaction: drift within a sweep that counts as noise while the air is sought, distance of the levels of
 # sweeps in the air, and the least noise, so that exact data have weights.
 _DRIFT, _DRIFTED, _EXACT = 5e-4, 0.1, 1e-6
-# Standard deviations by which the mean square deviation of the air from a model of the drift may exceed that of noise, and
-# what it may exceed it by further where the noise is estimated from the same rows.
-_SIGMAS, _UNSURE = 4.0, 0.1
 # Neighbours on either side of a row that decide whether it is used.
 _NEIGHBOURS = 3
 _PARTS = (slice(0, 3), slice(3, 6))
@@ -236,8 +235,8 @@ def unloaded(
         tare: Array = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
         freedom = max(int(air.sum()) - basis.shape[1], 1)
         square: Array = ((wrench[air] - basis[air] @ tare.T) ** 2).sum(axis=0) / freedom
-        # noise that is not stated is that of the same rows, which is less certain
-        allowed = 1 + _SIGMAS * float(np.sqrt(2 / freedom / channels.sum())) + _UNSURE * (not all(noise))
+        # chance makes four standard deviations; noise that is not stated is that of the same rows, which is less certain
+        allowed = 1 + 4 * float(np.sqrt(2 / freedom / channels.sum())) + 0.1 * (not all(noise))
         if (square / quick**2)[channels].mean() < allowed:
             break
     misfit = float((square / np.where(known > 0, known, quick) ** 2)[channels].mean())

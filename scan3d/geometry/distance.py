@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio
 from scan3d.errors import InputError
 from scan3d.geometry.triangles import (
     areas,
@@ -221,10 +221,6 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     return nearest
 
 
-# Segments that are tested at once, so that the intermediate arrays stay small.
-_AT_ONCE = 128
-
-
 def segments_meet(body: Any, start: Array, along: Array, length: float, distance: float = 0.0) -> Mask:
     """Which segments (n,) meet a convex `trimesh.Trimesh` whose faces are moved outwards by `distance`.
 
@@ -242,8 +238,7 @@ def segments_meet(body: Any, start: Array, along: Array, length: float, distance
     near = np.linalg.norm(start + nearest[:, None] * along - middle, axis=1) < reach + distance
     meets = np.zeros(len(start), dtype=bool)
     rows = np.flatnonzero(near)
-    for first in range(0, len(rows), _AT_ONCE):
-        part = rows[first : first + _AT_ONCE]
+    for part in np.array_split(rows, 1 + len(rows) * len(normals) // AT_ONCE):
         meets[part] = _below(start[part] @ normals.T - offset, length * (along[part] @ normals.T))
     return meets
 
