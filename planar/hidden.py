@@ -33,7 +33,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions
-from planar.pieces import piece
+from planar.elastica import piece
 from planar.reconstruction import Contacts
 from planar.sweeping import Phase
 from planar.uncertainty import Errors

@@ -13,10 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, segments
 from planar.arrays import BLOCK, Array, Index, check_direction, checked_reactions
-from planar.contours import Contour, check_contour, mirrored
-from planar.elastica import bend
-from planar.paths import Path
-from planar.pieces import piece
+from planar.contours import Contour, Path, check_contour, mirrored
+from planar.elastica import bend, piece
 from planar.plots import Explained, to_frame, words
 
 if TYPE_CHECKING:

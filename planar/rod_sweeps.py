@@ -15,7 +15,7 @@ import numpy as np
 
 from planar import equilibria, march
 from planar.arrays import Array, Index, Mask
-from planar.paths import Path
+from planar.contours import Path
 from planar.rods import Rod
 from planar.segments import LEVELS
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from planar import equilibria
 from planar.arrays import Array, Index, Mask, ratio
+from planar.contours import Path
 from planar.elastica import bend_with_slopes
-from planar.paths import Path
 
 _EPS = float(np.finfo(float).eps)
 # Parabolas through the overhang, and by how much each is narrower than the one before: an inexact minimum would overlook

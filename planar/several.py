@@ -2,7 +2,7 @@
 
 A contact has its place ``u`` on the outline, its arc length ``s`` along the rod, its size ``λ >= 0`` and the angle ``ζ`` of its
 force to the normal, ``F = λ (sin(τ + ζ), -cos(τ + ζ))`` (C1): the friction angle where the rod slips along ``-t``, its negative
-along ``t``, and an unknown between them where it sticks.  Between contacts the rod is a piece of elastica (`planar.pieces`)
+along ``t``, and an unknown between them where it sticks.  Between contacts the rod is a piece of elastica (`planar.elastica`)
 under ``N(s)``, the sum of the forces past ``s`` (C2).  With ``κ0`` the unknowns of a rod are as many as its equations:
 
     interior contact: ``r(s) = c(u)``, ``φ(s) = τ(u)`` (C6), or ``τ(u) + π`` where the body is on the rod's right,
@@ -19,8 +19,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from planar.arrays import Array, Index, Mask
+from planar.elastica import End, piece
 from planar.loops import Outlines
-from planar.pieces import End, piece
 
 # Contacts of one rod, at most: with more it is reported as not resolved.
 MOST = 3

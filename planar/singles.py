@@ -4,7 +4,7 @@ The candidate at a base position is the next equilibrium on the path from the on
 convex contour, or the straight rod.  It holds as long as no rod is inside a body, and where the rod jumps, nothing of the body
 lies between the two but what it slides along.  What does not hold, and what lies behind it, is left to `planar.any_body`.
 
-The path of a rod at a single place of straight edges goes against the tangent of the outline below a body, as `planar.paths`
+The path of a rod at a single place of straight edges goes against the tangent of the outline below a body, as `planar.contours`
 describes it for a convex one.  On any other the slopes rise again at concave vertices, in which the tip is wedged; where the
 outline faces away from the rod, or is higher than the rod is long, the path is interrupted, so that it consists of runs.
 Whether a rod at such a place touches nowhere else is a question of its own.  It turns to the right all along, from the clamp's
@@ -24,9 +24,9 @@ import numpy as np
 
 from planar import segments
 from planar.arrays import BLOCK, Array, Index, Mask, ratio
+from planar.contours import Path, subdivided
+from planar.elastica import piece
 from planar.loops import Outlines
-from planar.paths import Path, subdivided
-from planar.pieces import piece
 from planar.several import Rods, free_rods
 
 JUMP = 0.03

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import planar
-from planar import pieces
+from planar import elastica
 from planar.elastica import bend, carlson_integrals, partial_shape, tangential_q
 
 AGREES = 1e-12
@@ -219,7 +219,7 @@ def test_amplitudes_and_integrals_of_pieces():
     )
     start, by = draw.uniform(-4, 4, len(m)), draw.uniform(0, 3, len(m))
     with mpmath.workdps(40):
-        for s, way, parameter, found, lost in zip(start, by, m, *pieces._advanced(start, m, by), strict=True):
+        for s, way, parameter, found, lost in zip(start, by, m, *elastica._advanced(start, m, by), strict=True):
             amplitude = mpmath.mpf(found)
             rate = mpmath.sqrt(1 - parameter * mpmath.sin(amplitude) ** 2)
             off = mpmath.ellipf(amplitude, parameter) - mpmath.ellipf(s, parameter) - way

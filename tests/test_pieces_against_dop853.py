@@ -3,7 +3,7 @@
 import numpy as np
 import scipy
 
-from planar.pieces import piece
+from planar.elastica import piece
 
 
 def integrated(force, phi, kappa, length):
