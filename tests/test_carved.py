@@ -45,10 +45,12 @@ def test_surface_of_a_body_with_a_waist():
     assert np.hypot(*surface.vertices[middle, :2].T).max() < 6.8
 
 
-def test_surface_of_a_convex_body_is_the_hull_of_its_contacts():
-    recording = recording_of(lambda z: 10 * np.sqrt(1 - (z / 25) ** 2), HEIGHTS, samples=24)
-    cloud = contacts(recording)
-    assert carved(recording, cloud).surface.volume == pytest.approx(hull(cloud.points).volume, rel=1e-3)
+def test_surface_of_a_convex_body_is_a_hull_without_folds():
+    recording = recording_of(lambda z: np.where(abs(z) < 20, 9.0, 0.0), HEIGHTS, samples=24)
+    found = carved(recording, contacts(recording))
+    assert found.surface.volume == pytest.approx(hull(found.surface.vertices).volume, rel=1e-4)
+    one, other = (patch["area"] for patch in found.coverage["unknown"])  # a disc at either end
+    assert one == pytest.approx(other, rel=0.01)
 
 
 def test_vertices_that_are_known_lie_within_the_spacing_of_a_contact():

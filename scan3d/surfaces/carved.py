@@ -147,7 +147,7 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     edges = joggled[corners[:, 1:]] - joggled[corners[:, :1]]
     volume = np.abs(np.linalg.det(edges)) / 6
     fine = max(min(sheet.cell, sheet.apart) for sheet in sheets) / 2
-    body = depth < np.where(touched[corners].all(axis=1), fine, 0.0)
+    body = depth < np.where(touched[corners].all(axis=1), fine, -_JOGGLE * spacing)
     # free space comes from outside, and the body has no splinters in it
     part = _parts(~body, neighbours)
     from_outside = np.zeros(len(body) + 1, dtype=bool)
