@@ -4,7 +4,7 @@ From the last state Newton's method finds the next one with the same contacts; w
 state is solved again at the same base position: a contact that pulls is dropped, a place where the rod is inside the body
 becomes one, the tip leaves or takes a contact over, a contact passes to the next piece of the outline, a contact that slips
 with its friction changes the direction of its slip, or sticks.  Where the steps become too small the equilibrium ends in a
-fold, and the rod snaps (`planar.settling`).  All sweeps are stepped together.
+fold, and the rod snaps (`planar.several`).  All sweeps are stepped together.
 
 Along polygons most rods touch at one place: tables tell where (`planar.singles`), and only rods that would be inside a body are
 followed, up to where the tables hold again.
@@ -21,11 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planar import settling
 from planar.arrays import Array, Index, Mask, ratio
 from planar.loops import Nearest, Outlines
 from planar.plots import Explained
-from planar.several import MOST, Rods, free_rods, shapes, solve
+from planar.several import LINKS, MOST, Rods, Settled, chain_points, free_rods, settle, shapes, solve
 from planar.singles import INSIDE, JUMP, Singles, Start
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
@@ -451,11 +450,11 @@ class _Sweeps:
         """Let the rod go from a shape: its rod and points, and the chain if they are not those of an equilibrium."""
         angles = self.chain[sweep]
         if angles is None:
-            at = np.linspace(0, 1, settling.LINKS + 1)
+            at = np.linspace(0, 1, LINKS + 1)
             nodes = [np.interp(at, np.linspace(0, 1, _TESTED), column) for column in shape.T]
             angles = np.unwrap(np.arctan2(np.diff(nodes[1]), np.diff(nodes[0])))
-        settled = settling.settle(self.outlines, sweep, x0, angles, zeta)
-        chain = settling.points(x0, settled.angles)
+        settled = settle(self.outlines, sweep, x0, angles, zeta)
+        chain = chain_points(x0, settled.angles)
         s = np.concatenate([[0.0], np.arange(len(chain)) + 1.0]) / len(chain)
         whole = np.concatenate([[[x0, 0.0]], chain])
         along = np.stack([np.interp(np.linspace(0, 1, _TESTED), s, column) for column in whole.T], axis=1)
@@ -471,7 +470,7 @@ class _Sweeps:
                     return rods, points[0], None
         return free_rods(np.array([x0])), along, settled.angles
 
-    def _guess(self, x0: float, settled: settling.Settled, zeta: float, attempt: int) -> Rods | None:
+    def _guess(self, x0: float, settled: Settled, zeta: float, attempt: int) -> Rods | None:
         """The contacts of a chain at rest: as they are, with the last one's tip exchanged, without the weakest."""
         keep = np.arange(len(settled.s))
         if len(keep) > MOST or (attempt and not len(keep)):
@@ -479,14 +478,14 @@ class _Sweeps:
         rods = free_rods(np.array([x0]))
         if attempt == 2:
             keep = np.delete(keep, np.argmin(settled.force))
-        rods.kappa[0] = 2 * settling.LINKS * (settled.angles[0] - np.pi / 2)
+        rods.kappa[0] = 2 * LINKS * (settled.angles[0] - np.pi / 2)
         for c in keep:
             tip = bool(settled.tip[c])
             if attempt == 1 and c == keep[-1]:
                 tip = not tip
             piece, u = settled.piece[c : c + 1], settled.u[c : c + 1]
             tau = float(self.outlines.at(piece, u).tau[0])
-            phi = float(np.interp(settled.s[c] * settling.LINKS - 0.5, np.arange(settling.LINKS), settled.angles))
+            phi = float(np.interp(settled.s[c] * LINKS - 0.5, np.arange(LINKS), settled.angles))
             side = float(np.copysign(1.0, np.cos(phi - tau)))
             if not tip:
                 piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)

@@ -502,8 +502,10 @@ def joined(recordings: Sequence[Recording]) -> Recording:
 
 REACTIONS = {"f0x": "fx_N", "f0y": "fy_N", "m0z": "mz_Nm"}
 """The reactions, and their columns in the table of a recording."""
+CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
+"""The six reactions."""
 IN_PLANE = np.array([0, 1, 5])
-"""These, of the six reactions."""
+"""Those in the plane, of the six."""
 FORCE = "force"
 """What is completed where moments alone were measured."""
 

@@ -25,7 +25,6 @@ from scan3d.frames import Frame, euler_of, wrench_matrix
 from scan3d.laboratory import signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
-    CHANNELS,
     Log,
     check_directions,
     ends,
@@ -36,7 +35,7 @@ from scan3d.laboratory.logs import (
 )
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.signals import find_air, given_air, robust_sd, tare
-from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
+from scan3d.recording import CHANNELS, FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
 from scan3d.spatial import inverse
 from scan3d.units import share
 

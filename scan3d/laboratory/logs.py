@@ -20,9 +20,8 @@ from scan3d.files.reading import did_you_mean
 from scan3d.files.tables import Table
 from scan3d.laboratory.maps import Map, Orientation, Reference
 from scan3d.poses import MOVES, Move
+from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
-
-CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.frames import euler_of, wrench_matrix
-from scan3d.recording import Recording
+from scan3d.recording import CHANNELS, Recording
 from scan3d.rods import Rod
 from scan3d.spatial.march import free_reactions
 from scan3d.units import angle, force, length, moment
 
-_CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 _ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")
 # Parts of the largest axis of a turn below which the others are not named.
 _ABOUT_ONE = 0.15
@@ -52,7 +51,7 @@ _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
     ),
     "moment-scale": ((3, 4, 5), f"the moments{_CHECK}"),
     "force-scale": ((0, 1, 2), f"the forces{_CHECK}"),
-    **{f"{_CHANNELS[k]}-scale": ((k,), _CHANNELS[k] + _CHECK.replace("are", "is")) for k in (0, 1, 2, 3, 5)},
+    **{f"{CHANNELS[k]}-scale": ((k,), CHANNELS[k] + _CHECK.replace("are", "is")) for k in (0, 1, 2, 3, 5)},
 }
 # Largest logarithm of a scale: larger ones make rods so long or forces so large that noise and rounding hide any misfit.
 _LARGEST_SCALE = 1.4
