@@ -217,3 +217,4 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
 def test_the_meshes_that_come_along_are_closed_and_not_convex():
     for path in sorted((FOLDER / "hollow").iterdir()):
         assert not is_convex(load_mesh(path))
+        assert not load_mesh(path, hull=True).metadata["filled"]["open"]

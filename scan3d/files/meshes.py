@@ -160,7 +160,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
         filled = {
             "depth": float(dent * diagonal) if is_dented else 0.0,
             "at": place.tolist() if is_dented else None,
-            "open": is_open,
+            "open": is_open and not mesh.is_watertight,
             "volume_relative": 1 - float(mesh.volume) / float(body.volume) if mesh.is_volume else None,
         }
         # as arrays, which are the only large metadata that pyvista takes over
