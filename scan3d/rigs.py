@@ -3,8 +3,8 @@
 The errors of a calibration are the same in all rows of a recording, so that no number of touches reduces them.  They are stated
 for poses and wrenches as a recording has them, in the clamp's frame and after all corrections:
 
-- stiffness and length of the rod, and its diameter at the tip over that at the clamp, relative to the recording's rod; and its
-  curvature;
+- stiffness and length of the rod, and its diameter at the tip over that at the clamp, relative to the recording's rod; its
+  curvature and its weight;
 - the clamp's offset, and its turn about its own origin;
 - the sensor's offset d, which adds ``d × F`` to the moment;
 - the sensor's turn w about the clamp's origin, which adds ``w × F`` to the force and ``w × m`` to the moment.
@@ -39,6 +39,7 @@ RIG_QUANTITIES = (
     *(f"sensor_turn_{axis}_rad" for axis in "xyz"),
     "tip_diameter_relative",
     *(f"curvature_{axis}_per_m" for axis in "zx"),
+    "weight_N",
 )
 """The quantities of a rig that change contacts, all in the clamp's frame."""
 
@@ -88,7 +89,7 @@ class RigUncertainty:
         return self.names, self.exact, self.covariance.tobytes(), self.relative
 
     def components(self) -> Array:
-        """(17, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
+        """(18, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
         deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         scale = np.where(deviations > 0, deviations, 1.0)
         square, axes = np.linalg.eigh(self.covariance / scale / scale[:, None])

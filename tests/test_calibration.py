@@ -7,12 +7,14 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 import scan3d
 from scan3d import InputError
 from scan3d.calibration import estimate
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
-from scan3d.calibration.references import Plane, Sphere
+from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.spatial.inverse import reconstruct
 from tests import references, rigs
 
@@ -175,6 +177,40 @@ def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
     assert found.details["tare"] == "sweep"
     deviations = errors(found, recording, **SHORT) / found.standard_deviations
     assert np.abs(deviations[of_rig(found)]).max() < 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("other", "seeds"), [(0.0, 3), (1.0, 1), pytest.param(0.0, 40, marks=pytest.mark.trust)])
+def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
+    """One that hardly sags, so that its weight acts in its middle, beside `other` times its weight at the clamp."""
+    truth, deviations = rigs.Truth(), []
+    clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
+    weight = 0.05 * truth.stiffness / truth.length**2
+    arm = weight * np.array([0, truth.length / 2, 0]) + other * weight * np.array([0.001, -0.004, -0.003])
+    for seed in range(seeds):
+        recording = rigs.recorded(seed=seed, **SHORT)
+        down = recording.axes() @ [0, 0, -1.0] @ clamp
+        carried = rigs.in_sensor(truth, -(1 + other) * weight * down, -np.cross(arm, down))
+        heavy = dataclasses.replace(added(recording, *carried), gravity=scan3d.Gravity((0, 0, -1), False))
+        found = scan3d.calibrate(heavy, rigs.DIAMETER)
+        assert found.names[-1] == "weight_N"
+        deviations.append((found.values[-1] - (1 + other) * weight) / found.standard_deviations[-1])
+        assert found.rod.weight_N == (0 if other else found.values[-1])
+        assert any("whose centre is not the rod's" in sentence for sentence in found.sentences) == bool(other)
+    assert np.square(deviations).sum() < chdtri(seeds, 1e-3)
+    if not other:
+        # the sensor's zero, and the rod's weight, are those of the corrected log in the air
+        of_zero, of_sweep = (found.applied(heavy, tare) for tare in ("calibration", "auto"))
+        assert (of_zero.gravity.tared, of_sweep.gravity.tared) == (False, True)
+        alike = [np.hstack(log.reactions(six_axis=True)).mean(axis=0) for log in (of_zero, of_sweep)]
+        np.testing.assert_allclose(*alike, atol=truth.noise)
+        # one sweep tells no weight
+        one = part(heavy, heavy.sweep == 0)
+        air = unloaded(one.sweep, *six_channels(one)[::-1], (0, 0), "constant")
+        assert weighed(one, one.rod, found.frames()[0], np.eye(3), air, np.zeros((3, 3))).sd_N == np.inf
+        assert "weight_N" in found.uncertainty().names
+        scan3d.write_rig(found, tmp_path / "rig.toml")
+        assert scan3d.read_rig(tmp_path / "rig.toml").rod == found.rod
 
 
 def part(recording, rows):

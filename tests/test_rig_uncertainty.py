@@ -37,11 +37,11 @@ def test_components_have_the_covariance_whatever_the_units():
     """Their squares add up to the covariance, which has entries from 1e-10 to 1e-5."""
     rig = typical()
     parts = rig.components()
-    assert parts.shape == (17, 14)
+    assert parts.shape == (18, 14)
     np.testing.assert_allclose((parts @ parts.T)[:14, :14], rig.covariance, rtol=1e-9, atol=1e-20)
     alike = RigUncertainty(TWO, [[4e-6, 2e-8], [2e-8, 1e-10]])  # correlation 1
-    assert alike.components().shape == (17, 1)
-    assert RigUncertainty((), []).components().shape == (17, 0)
+    assert alike.components().shape == (18, 1)
+    assert RigUncertainty((), []).components().shape == (18, 0)
 
 
 @pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
@@ -131,7 +131,7 @@ def _moved(rig, name, step):
 
 
 def _error(before, after):
-    """The error (17,) of `RIG_QUANTITIES` between two corrections of a recording, by least squares over its rows."""
+    """The error (18,) of `RIG_QUANTITIES` between two corrections of a recording, by least squares over its rows."""
     (f, m), (g, k) = before.wrench(), after.wrench()
     axes = before.axes()
     offset = np.einsum("nij,nj->ni", axes, after.position_m - before.position_m).mean(axis=0)

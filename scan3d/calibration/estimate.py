@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask, evenly
 from scan3d.calibration.fit import (
-    CHANCE,
     ROBOTS,
     Fit,
     Noise,
@@ -50,7 +49,7 @@ from scan3d.calibration.model import (
     clamp_wrench,
     contacts,
 )
-from scan3d.calibration.references import Plane, Reference, Sphere, neighbours, unloaded
+from scan3d.calibration.references import CHANCE, Plane, Reference, Sphere, neighbours, six_channels, unloaded
 from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.recording import Recording
@@ -207,15 +206,6 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
         marched=not light.is_simple,
     )
     return Problem(touches, air, channels, free), nominal
-
-
-def six_channels(recording: Recording) -> tuple[Mask, Array]:
-    """Which components of force and moment (6,) a recording has, and all of them (n, 6) in N and N·m, zero where it has not."""
-    if recording.six_axis:
-        return np.ones(6, dtype=bool), np.hstack(recording.wrench())
-    wrench = np.zeros((len(recording), 6))
-    wrench[:, :2], wrench[:, 5] = recording.force_N, recording.moment_Nm
-    return np.array([True, True, False, False, False, True]), wrench
 
 
 def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, estimate: bool) -> Fit:

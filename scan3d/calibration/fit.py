@@ -43,7 +43,7 @@ from scan3d.calibration.model import (
     Touches,
     equations,
 )
-from scan3d.calibration.references import Sphere, Unloaded
+from scan3d.calibration.references import CHANCE, Sphere, Unloaded
 from scan3d.recording import Recording
 from scan3d.units import length, share
 
@@ -70,8 +70,6 @@ _ADJUSTMENTS, _TRIALS = 3, 50
 _NO_ROD = 100.0
 # Length of the step, in standard deviations, that is left to the least sum of squares where a fit is at rest.
 _SMALL = 0.1
-# Standard deviations of a sum of squares that count as chance.
-CHANCE = 4.5
 # The largest noise that is estimated: of the poses in rod lengths, and of the wrench relative to it.
 _LARGEST = 0.3
 

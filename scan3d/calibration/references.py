@@ -21,13 +21,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtr
 
-from scan3d.arrays import ROUNDING, Array, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask
 from scan3d.errors import InputError
+from scan3d.frames import Frame, to_inner, to_outer
+from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.spatial.march import free_reactions
 from scan3d.units import length
 
+# Standard deviations that count as chance.
+CHANCE = 4.5
 # Largest diameter of a reference sphere in rod lengths; larger ones are planes to a rod.
 _LARGEST = 1e3
 
@@ -243,6 +248,73 @@ def unloaded(
     own = np.repeat([np.sqrt(square[part][channels[part]].mean()) for part in _PARTS], 3)
     deviation = np.maximum(np.where((known > 0) & (misfit <= allowed), known, np.maximum(own, known)), least)
     return Unloaded(air, contact, float(deviation[0]), float(deviation[3]), basis, tare, name, misfit)
+
+
+def six_channels(recording: Recording) -> tuple[Mask, Array]:
+    """Which components of force and moment (6,) a recording has, and all of them (n, 6) in N and N·m, zero where it has not."""
+    if recording.six_axis:
+        return np.ones(6, dtype=bool), np.hstack(recording.wrench())
+    wrench = np.zeros((len(recording), 6))
+    wrench[:, :2], wrench[:, 5] = recording.force_N, recording.moment_Nm
+    return np.array([True, True, False, False, False, True]), wrench
+
+
+class Weighed(NamedTuple):
+    """What a sensor carries in the air."""
+
+    weight_N: float
+    sd_N: float
+    """Infinite where gravity lies alike in all sweeps."""
+    tare_and_drift: tuple[Array, Array] | None = None
+    """(6,) what the sensor shows beside it in the middle of the recording, and its change; N and N·m.  None unless the weight
+    is certain, and its centre may be that of the rod."""
+
+
+def weighed(recording: Recording, rod: Rod, sensor: Frame, clamp: Array, air: Unloaded, place: Array) -> Weighed:
+    """The weight by the rows in the air of sweeps in which gravity g lies otherwise in the clamp's frame.
+
+    A weight W with the first moment a adds ``-W g`` to the reaction and ``-a × g`` to its moment: linear least squares with the
+    zero of each channel and its drift.  `clamp` (3, 3) is the clamp's turn in the pose, `place` (3, 3) the covariance of the
+    sensor's place in m².
+    """
+    channels, wrench = six_channels(recording)
+    noise = air.force_noise * recording.rod.force_unit_N, air.moment_noise * recording.rod.moment_unit_Nm
+    rows, gravity = np.flatnonzero(air.air), recording.gravity
+    assert gravity is not None
+    _, sweep, count = np.unique(recording.sweep[rows], return_inverse=True, return_counts=True)
+    of_sweep = (sweep == np.arange(len(count))[:, None]) / np.sqrt(count)[:, None]  # their sums have the noise of a row
+    basis, down = _basis("linear", recording.sweep)[rows], recording.axes()[rows] @ np.array(gravity.direction) @ clamp
+    zero = np.linalg.qr(of_sweep @ basis)[0]
+
+    def beside_zero(values: Array) -> Array:
+        values = of_sweep @ values
+        return np.asarray(values - zero @ (zero.T @ values))
+
+    def solved(design: Array, values: Array, noise: float) -> tuple[Array, Array]:
+        inverse = np.linalg.pinv(design.T @ design, rcond=NEGLIGIBLE, hermitian=True)
+        found, freedom = inverse @ design.T @ values, len(values) - design.shape[1] - values.size // len(count) * 2
+        left = float(((values - design @ found) ** 2).sum()) / max(freedom, 1)
+        return found, inverse * max(noise**2, left)
+
+    force, moment = to_outer(wrench[rows, :3], wrench[rows, 3:], sensor.turn, sensor.position_m)
+    tilted, (in_force, in_moment) = beside_zero(down), channels.reshape(2, 3)
+    if not (tilted[:, in_force] ** 2).sum() > NEGLIGIBLE * len(rows):
+        return Weighed(0.0, np.inf)
+    by_force, variance = solved(-tilted[:, in_force].reshape(-1, 1), beside_zero(force)[:, in_force].ravel(), noise[0])
+    weight, deviation = float(by_force[0]), float(np.sqrt(variance[0, 0]))
+    if weight <= CHANCE * deviation:
+        return Weighed(weight, deviation)
+    in_air = free_reactions(replace(rod, weight_N=weight).in_space(), down.T)
+    carried = np.column_stack([in_air[0].T * rod.force_unit_N, in_air[1].T * rod.moment_unit_Nm])
+    turned = np.cross(tilted[:, None], np.eye(3)).swapaxes(1, 2)[:, in_moment].reshape(-1, 3)
+    off, covariance = solved(turned, beside_zero(moment - carried[:, 3:])[:, in_moment].ravel(), noise[1])
+    covariance = covariance + weight**2 * place
+    sizes, axes = np.linalg.eigh(covariance)
+    known = sizes > NEGLIGIBLE * sizes[-1]
+    alike = ((axes.T @ off)[known] ** 2 / sizes[known]).sum() < chdtri(known.sum(), 2 * ndtr(-CHANCE))
+    shown = wrench[rows] - np.hstack(to_inner(carried[:, :3], carried[:, 3:], sensor.turn, sensor.position_m))
+    tare, drift = np.linalg.lstsq(basis, shown * channels, rcond=None)[0]
+    return Weighed(weight, deviation, (tare, drift) if alike else None)
 
 
 def _models(model: str, sweep: NDArray[np.int64], air: Mask) -> tuple[str, ...]:

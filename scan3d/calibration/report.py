@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.estimate import calibrated, six_channels
+from scan3d.calibration.estimate import calibrated
 from scan3d.calibration.fit import Fit, checked
-from scan3d.calibration.model import PLACE, SHAPE, TURN, Kind, Rig
-from scan3d.calibration.references import Plane, Sphere, unloaded
+from scan3d.calibration.model import PLACE, SENSOR, SHAPE, TURN, Kind, Rig
+from scan3d.calibration.references import CHANCE, Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.errors import InputError
 from scan3d.files.reading import Section, read_rod, read_section, rod_section
 from scan3d.files.text import to_toml
@@ -25,7 +25,7 @@ from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
-from scan3d.units import length
+from scan3d.units import force, length
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,11 +111,14 @@ class Calibration(Described):
         """
         known = recording.noise
         channels, wrench = six_channels(recording)
+        gravity = recording.gravity
         if tare == "calibration":
             wrench = wrench - self.tare
             force_noise, moment_noise = known.force_N, known.moment_Nm
         else:
-            air = unloaded(recording.sweep, wrench, channels, (known.force_N, known.moment_Nm), tare)
+            gravity = gravity and dataclasses.replace(gravity, tared=True)
+            model = "sweep" if tare == "auto" and self.rod.weight_N else tare  # a weight turns with the clamp
+            air = unloaded(recording.sweep, wrench, channels, (known.force_N, known.moment_Nm), model)
             wrench = wrench - air.basis @ air.tare.T
             force_noise, moment_noise = air.force_noise, air.moment_noise
         sensor, clamp = self.frames()
@@ -129,6 +132,7 @@ class Calibration(Described):
             quaternion=quaternion,
             **reaction_columns(force, moment, recording.six_axis),
             rod=self.rod,
+            gravity=gravity,
             noise_force_N=force_noise,
             noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
             noise_pose_m=recording.noise_pose_m or self.pose_noise_m,
@@ -152,14 +156,14 @@ class Calibration(Described):
         return RigUncertainty(tuple(RIG_QUANTITIES[k] for k in uncertain), (covariance + covariance.T) / 2, exact)
 
     def _errors(self) -> Array:
-        """(17, 16) what errors of one unit of `OF_CONTACTS` are in `RIG_QUANTITIES`, to the first order."""
+        """(18, 17) what errors of one unit of `OF_CONTACTS` are in `RIG_QUANTITIES`, to the first order."""
         to_clamp = turn_of(self.clamp_euler_deg).T
         clamp, sensor = (np.radians(_euler_axes(angles)) for angles in (self.clamp_euler_deg, self.sensor_euler_deg))
         errors = np.zeros((len(RIG_QUANTITIES), len(OF_CONTACTS)))
         errors[0, 0], errors[1, 1] = 1 / self.rod.bending_stiffness_Nm2, 1 / self.rod.length_m
         errors[2:5, 2:5], errors[8:11, 7:10] = to_clamp / 1000, np.eye(3) / 1000
         errors[5:8, 5:7], errors[11:14, 10:13] = (to_clamp @ clamp)[:, [0, 2]], sensor
-        errors[14, 13], errors[15:, 14:] = 1 / self.rod.profile.diameters[-1], np.eye(2)
+        errors[14, 13], errors[15:, 14:] = 1 / self.rod.profile.diameters[-1], np.eye(3)
         # a turn about the sensor's origin is one about the clamp's, and moves the sensor
         errors[8:11, 10:13] = np.cross(self.sensor_position_m, sensor.T).T
         return errors
@@ -215,10 +219,29 @@ def calibrate(
     covariance[~known] = covariance[:, ~known] = 0
     deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
     limits = np.array([limit(name, value, nominal, fit) for name, value in found.items()])
+    shown = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
+    tare_and_drift = (
+        shown.mean(axis=1) if air.model == "sweep" else shown[:, 0],
+        shown[:, 1] if air.model == "linear" else np.ptp(shown, axis=1),
+    )
+    rod, sentences = _rod(nominal, rig), premises.sentences
+    if recording.gravity is not None and not recording.gravity.tared:
+        place = nominal.length_m**2 * premises.covariance[SENSOR:PLACE, SENSOR:PLACE]
+        weight = weighed(
+            recording, rod, Frame(nominal.length_m * rig.sensor, rig.turn), rig.clamp_axes()[0], air, place
+        )
+        names, values = (*names, "weight_N"), np.append(values, weight.weight_N)
+        deviations, limits = np.append(deviations, weight.sd_N), np.append(limits, _LIGHT * nominal.force_unit_N)
+        covariance = np.pad(covariance, (0, 1))
+        covariance[-1, -1] = weight.sd_N**2 if np.isfinite(weight.sd_N) else 0.0
+        if weight.tare_and_drift is not None:
+            rod, tare_and_drift = dataclasses.replace(rod, weight_N=weight.weight_N), weight.tare_and_drift
+        elif weight.weight_N > CHANCE * weight.sd_N:
+            sentences += (_CARRIED.format(force(weight.weight_N)),)
+    sentences += (_WEIGHT,) * bool(rod.weight_N)
     well = COVERAGE_FACTOR * deviations <= limits
     if premises.spoiled:
-        well &= [name.startswith(("tare", "drift")) for name in names]
-    shown = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
+        well &= [name.startswith(("tare", "drift", "weight")) for name in names]
     touched = {"kind": "plane", "normal": rig.reference.axes[:, 2].tolist(), "offset_mm": found.get("plane_offset_mm")}
     if isinstance(rig.reference, Sphere):
         centre = 1000 * nominal.length_m * rig.reference.origin
@@ -228,21 +251,19 @@ def calibrate(
             "position_mm": centre.tolist(),
         }
     return Calibration(
-        rod=_rod(nominal, rig),
+        rod=rod,
         sensor_position_m=nominal.length_m * rig.sensor,
         sensor_euler_deg=euler_of(rig.turn),
         clamp_position_m=nominal.length_m * rig.clamp,
         clamp_euler_deg=np.degrees([rig.tilt[0], 0.0, rig.tilt[1]]),
-        tare=shown.mean(axis=1) if air.model == "sweep" else shown[:, 0],
-        drift=shown[:, 1] if air.model == "linear" else np.ptp(shown, axis=1),
+        tare=tare_and_drift[0],
+        drift=tare_and_drift[1],
         names=names,
         values=values,
         standard_deviations=deviations,
         covariance=covariance,
         well=tuple(map(bool, well)),
-        sentences=lacking(fit, names, deviations, limits, premises.spoiled)
-        + premises.sentences
-        + (_WEIGHT,) * bool(nominal.weight_N),
+        sentences=lacking(fit, names, deviations, limits, premises.spoiled) + sentences,
         chi2=premises.chi2,
         consistency=premises.consistency,
         freedom=fit.freedom,
@@ -310,12 +331,13 @@ OF_CONTACTS = (
     *(f"sensor_turn_{axis}_deg" for axis in "xyz"),
     "tip_diameter_ratio",
     *(f"curvature_{axis}_per_m" for axis in "zx"),
+    "weight_N",
 )
 """The quantities of a calibration that change contacts."""
 # Expanded uncertainty in degrees up to which an angle counts as well determined.
 _DEGREES = 0.3
-# Step of difference quotients.
-_STEP = 1e-5
+# Step of difference quotients; and a weight in EI/L² that moves contacts by a thousandth of the rod at most.
+_STEP, _LIGHT = 1e-5, 0.01
 
 
 def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
@@ -454,9 +476,14 @@ _TOUCHES = {
     "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
     "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
     "plane": ("the plane's place", "sweeps with the rod in more directions, and all over the plane"),
+    "weight": ("the weight", "sweeps that begin in the air with the clamp in other directions to gravity"),
     "tare": ("the tare", "more rows in the air, before and after each touch"),
     "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
 }
+_CARRIED = (
+    "In the air the sensor carries {}, whose centre is not the rod's: what else hangs at it was weighed with the rod, which "
+    "has no weight in this file; weigh the rod, and state weight_N."
+)
 _WEIGHT = "The rod's weight is not part of this fit: what it adds to the reactions counts as tare."
 _ABOUT_THE_ROD = (
     "These touches do not determine the sensor's turn about the rod: {names} are a first estimate, which may be wrong by some "

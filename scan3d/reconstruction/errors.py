@@ -184,8 +184,12 @@ def _contacts(
     noise: tuple[float, float] | None,
     error: Array,
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (17,)."""
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (18,)."""
     rod, (force, moment) = recording.rod, wrench
+    if error[17]:
+        heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(error[17])))
+        sides = zip(wrench, _wrench(heavier, rows), _wrench(recording, rows), strict=True)
+        rod, (force, moment) = heavier.rod, (part + more - less for part, more, less in sides)
     offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:14]
     softer = np.exp(-error[0])
     force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
@@ -198,7 +202,7 @@ def _contacts(
         moment,
         tolerance=inverse.PAST_TIP,
         noise=noise,
-        rod=reshaped(rod.in_space(), error[14:] * [1.0, rod.length_m, rod.length_m]),
+        rod=reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m]),
         gravity=None if down is None else down[rows],
     )
     place = offset + found.point + np.cross(turn, found.point)
