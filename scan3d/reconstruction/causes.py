@@ -210,8 +210,8 @@ def _zeros(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
         "drift",
         value,
         unit,
-        f"the zero of force and moment drifts from sweep to sweep, in all by {text}: let each sweep begin in the air, and let "
-        "the import take off the drift ([tare])",
+        f"the zero of force and moment drifts from sweep to sweep, in all by {text}, or a weight turns with the clamp: let "
+        "each sweep begin in the air, and let the import take off the drift ([tare])",
     )
     each = start[sweep.reshape(-1)]
     return [known(Undone(zero=zero), untared), *(known(Undone(zero=zero), drifts, 2) for zero in (steady, each))]
