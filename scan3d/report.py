@@ -13,7 +13,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
@@ -26,7 +25,6 @@ from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows
-from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import length, lengths, number, share, volume
 
 if TYPE_CHECKING:
@@ -124,11 +122,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             "watertight": bool(surface.is_watertight),
             "faces": len(surface.faces),
             "volume": float(surface.volume),
-            "volume_error": None if comparison is None else comparison.volume_error,
         },
-        "normals": None
-        if comparison is None
-        else {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg},
         "timings_s": rounded(analysis.seconds),
         "files": [],
     }
@@ -378,20 +372,14 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
     """How much of the body the contacts cover.
 
     `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal, or 0.5 % for
-    contacts of the spatial model, as `surface_within` says.  `normals` is the fraction of the sphere of directions that lies
-    within 5° of a contact's normal.
+    contacts of the spatial model, as `surface_within` says.
     """
     surface, bound = _local_bounds(bounds, surface, certified)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     area = np.asarray(surface.area_faces)
     within = (5e-3 if cloud.model == "spatial" else 1e-3) * diagonal
     closed = bound[surface.faces].max(axis=1) <= within
-    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
-    known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
-    if not len(known):
-        return {**covered, "normals": 0.0}
-    near = cKDTree(known).query(sphere_directions(5000).T)[0] < 2 * np.sin(np.radians(5.0 / 2))
-    return {**covered, "normals": float(np.mean(near))}
+    return {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
 
 
 # --- in words ---
