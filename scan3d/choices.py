@@ -36,8 +36,6 @@ EXPORTS: tuple[str, ...] = get_args(Export)
 Tare = Literal["auto", "constant", "linear", "sweep"]
 TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""
-Shell = Literal["bash", "zsh", "fish"]
-"""Shells for which there is a completion script."""
 
 
 def one_of(values: Sequence[str]) -> str:

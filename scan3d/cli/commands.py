@@ -15,11 +15,10 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
 
-from scan3d.choices import Shell
 from scan3d.cli import doctor, rig, show, verbs
 from scan3d.cli.terminal import Output, Progress, say
 from scan3d.errors import InputError, UsageError
@@ -42,7 +41,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
 'scan3d' alone prints a few examples, and 'scan3d COMMAND --help' describes each command."""
 
 
-def completion(shell: Annotated[Shell, Parameter(metavar="SHELL")], /) -> int:
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(metavar="SHELL")], /) -> int:
     """Print a completion script for a shell.
 
     For example:
