@@ -122,7 +122,11 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             "watertight": bool(surface.is_watertight),
             "faces": len(surface.faces),
             "volume": float(surface.volume),
+            "volume_error": None if comparison is None else comparison.volume_error,
         },
+        "normals": None
+        if comparison is None
+        else {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg},
         "timings_s": rounded(analysis.seconds),
         "files": [],
     }

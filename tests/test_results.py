@@ -101,6 +101,9 @@ def test_scan_writes_nothing_unless_asked_to(tmp_path, monkeypatch, capfd):
     assert result.report["settings"]["friction"] == "0.1:0.3"
     assert result.report["friction"]["set"] == "0.1:0.3"
     assert set(result.report["timings_s"]) >= {"load", "simulate", "reconstruct", "compare"}
+    comparison = result.report["comparison"]
+    assert result.report["surface"]["volume_error"] == comparison["volume_error"]
+    assert result.report["normals"]["median_deg"] == comparison["normal_median_deg"]
 
 
 def test_numbers_of_numpy_are_settings():
