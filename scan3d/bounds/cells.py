@@ -119,9 +119,10 @@ class Cells(NamedTuple):
 
 
 def applicable(cloud: Cloud, by_axis: Sequence[SliceStack]) -> bool:
-    """Whether the contacts are exact, along several axes, and cells not too many."""
+    """Whether the contacts are exact, with slabs along several axes, and cells not too many."""
     exact = cloud.covariance is None and cloud.calibration is None and cloud.tilt is None and not cloud.noise
-    return exact and len(by_axis) > 1 and 0 < crossings(len(stack.slices) for stack in by_axis) <= MOST_CROSSINGS
+    counts = [len(stack.slices) for stack in by_axis]
+    return exact and len(counts) > 1 and min(counts) > 1 and crossings(counts) <= MOST_CROSSINGS
 
 
 def crossings(slices: Iterable[int]) -> int:

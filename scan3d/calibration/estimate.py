@@ -99,7 +99,7 @@ def calibrated(
     touched = Plane.of(rod) if reference == Plane.kind else Sphere.of(reference, rod)
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
     problem, nominal = measured(recording, touched, tare)
-    first = ROBOTS / 3 if place is None else max(place / rod.length_m, NEGLIGIBLE)
+    first = 0.3 * ROBOTS if place is None else max(place / rod.length_m, NEGLIGIBLE)
     # relative errors of the wrench are usually some thousandths
     noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, 2e-3 * problem.channels.all())
     fit = _of_rig(problem, nominal, noise, place)
@@ -351,8 +351,7 @@ def _check(fit: Fit, recording: Recording) -> None:
     known = np.isfinite(normal).all() and (normal > 0).all()
     # what deviates by more is not a rod, or not a sensor, that is read rightly, or not this reference
     fits = noise.relative <= 0.1 and noise.place <= 10 * ROBOTS
-    stiffness_is_likely = 0.1 < math.exp(fit.rig.stiffness) < 10
-    if fits and fit.at_rest and usable and known and stiffness_is_likely:
+    if fits and fit.at_rest and usable and known and abs(fit.rig.stiffness) < 2.5:
         return
     seen = (
         [f"force and moment contradict a single force by {share(noise.relative)}"] if fit.problem.channels.all() else []

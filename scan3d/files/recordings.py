@@ -41,7 +41,7 @@ _MOVE = "move"
 
 def sidecar(path: str | Path) -> Path:
     """Path of the TOML file that belongs to the table of a recording."""
-    return Path(path).with_suffix(".toml")
+    return Path(path).parent / f"{Path(path).stem}.toml"
 
 
 def check_path(path: str | Path) -> None:

@@ -242,8 +242,9 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
     for compared in compared_in_slices(cloud):
         error = compared.errors(1.0, unit.covariance, unit.tilt_sd)
         means, sum_of = _means(compared, cloud), sum(compared.deviations(error))
-        worst = max(worst, float(((compared.misfit.found - compared.misfit.explained) / sum_of).max()))
-        hidden = max(hidden, float(((compared.misfit.found - compared.systematic) / sum_of).max()))
+        with np.errstate(divide="ignore", invalid="ignore"):  # where an error changes nothing, it explains nothing
+            worst = max(worst, float(np.nanmax((compared.misfit.found - compared.misfit.explained) / sum_of)))
+            hidden = max(hidden, float(np.nanmax((compared.misfit.found - compared.systematic) / sum_of)))
         by_all += float((means.square - 1).sum())
         expected += float(means.over_noise(np.sqrt(compared.variance(error))).sum())
     # an error that changes no mean explains none

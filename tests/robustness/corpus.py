@@ -169,13 +169,16 @@ def _recordings(folder):
         (folder / f"rod {name}.toml").write_text(text)
         cases.append(Case(place, ("reconstruct", place, "--out", "o"), 1, message))
         cases.append(Case(f"show {place}", ("show", place, "--html", "o.html"), 1, message))
-    for name, text in {
-        "mac": table.replace("\n", "\r"),
-        "dos": table.replace("\n", "\r\n"),
-        "bom": "\ufeff" + table,
+    stiff = _replaced(rod, "bending_stiffness_Nm2", str(2**32))  # no error of the wrench changes a contact
+    for name, (text, toml) in {
+        "mac": (table.replace("\n", "\r"), rod),
+        "dos": (table.replace("\n", "\r\n"), rod),
+        "bom": ("\ufeff" + table, rod),
+        "24 axes": (table.replace("z_m,qw,qx", "qx,qw,z_m", 1), rod),  # with a slice along each
+        "stiff": (table, stiff),
     }.items():
         (folder / f"{name}.csv").write_text(text, newline="")
-        (folder / f"{name}.toml").write_text(rod)
+        (folder / f"{name}.toml").write_text(toml)
         cases.append(Case(name, ("reconstruct", f"{name}.csv", "--out", f"out {name}"), 0))
     cases.append(Case("device", ("reconstruct", "zero.csv", "--out", "o"), 1, "device or a pipe"))
     return cases
@@ -240,6 +243,8 @@ def _options():
     cases.append(
         Case("reconstruct --method", ("reconstruct", "log.csv", "--out", "o", "--method", "magic"), 2, "Invalid value")
     )
+    no_name = ("import", "log.csv", "--map", "log.toml", "--rig", "log.toml", "--after=", "--out", "i.csv")
+    cases.append(Case("a recording without a name", no_name, -1))
     cases.append(Case("an escape", ("scan", "a\x1b[2Jb.stl", "--out", "o"), 1, "a\\x1b[2Jb.stl"))
     cases.append(Case("an option with an escape", ("scan", "box.stl", "--out", "o", "--a\x1b[2Jb"), 2, "--a\\x1b[2Jb"))
     cases.append(Case("a null character", ("scan", "a\0b.stl", "--out", "o"), 1, "a\\x00b.stl"))
