@@ -102,13 +102,15 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     for of_rod in (False, True):  # no rod is tried where a fault leaves nothing
         if all(trial.misfit + trial.level > _OF_NUMBERS**2 * before for trial in fitting):
             group = [cause for cause in tried if (cause.family == "rod") == of_rod]
-            trials = [_refined(trial, sample) for trial in _searched(group, few)]
+            evaluations = _FEW if of_rod else _EVALUATIONS
+            trials = [_refined(trial, sample, evaluations) for trial in _searched(group, few)]
             fitting += [trial for trial in trials if trial.explains(before) >= _EXPLAINS and trial.fits(before)]
     if all(trial.level > before for trial in fitting):  # errors that hide any misfit explain none
         about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
         second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > _OF_SENSORS
         return _second_contact(along_force) if second else _UNKNOWN
-    fitting = [_settled(trial, sample) if max(noise) else trial for trial in fitting]
+    # misfits that begin at a bound fall to zero slowly, the fewer rows have one, and few evaluations end before they do
+    fitting = [_settled(trial, sample) if max(noise) else _refined(trial, sample) for trial in fitting]
     first = min(fitting, key=lambda trial: trial.score)
     alike = {first.named.fault: first.named.message}
     for trial in fitting:
@@ -252,8 +254,8 @@ def _refined(trial: _Trial, sample: _Sample, evaluations: int = _EVALUATIONS) ->
         def residuals(numbers: Array) -> Array:
             return near.left(cause.undone(numbers)).excess.ravel() / _LARGEST
 
-        bounds, most = (-cause.limit, cause.limit), _FEW if cause.family == "rod" else evaluations
-        numbers = least_squares(residuals, numbers, bounds=bounds, diff_step=1e-5, max_nfev=most).x
+        bounds = (-cause.limit, cause.limit)
+        numbers = least_squares(residuals, numbers, bounds=bounds, diff_step=1e-5, max_nfev=evaluations).x
     return _Trial(cause, numbers, sample.left(cause.undone(numbers)))
 
 
