@@ -417,6 +417,8 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     begun.sort(key=lambda fit: fit.cost)
     best = begun[0].rig
     if problem.free[SHAPE]:
+        if begun[0].cost > begun[0].freedom:  # contacts are farther off than a shape moves them
+            raise _no_fit(best.reference, "")
         free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
         coarse = replace(problem.rows(evenly(heavy, _SEARCHED)), free=free)
         return _with_shape(coarse, [fit.rig for fit in begun], noise, rough)
