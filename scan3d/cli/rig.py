@@ -457,7 +457,7 @@ def import_(
     Parameters
     ----------
     raw
-        a text table with any delimiter, a Parquet file, or a ROS bag (.bag, or its folder)
+        text with any delimiter; a table of Excel, Parquet, MATLAB, numpy or HDF5; or a ROS bag (.bag, or its folder)
     map
         TOML file that says what the columns mean
     rig

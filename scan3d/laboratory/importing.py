@@ -110,7 +110,7 @@ class Imported:
 def import_table(
     path: str | Path, map: str | Path | Mapping[str, Any] | Map, rig: Calibration | str | Path | None = None
 ) -> Recording:
-    """The recording of a laboratory's table: text with any delimiter, Parquet, or a ROS bag.
+    """The recording of a laboratory's table: text, Excel, Parquet, MATLAB, numpy, HDF5, or a ROS bag.
 
     map
         says what the columns mean: the path of a TOML file, or its contents.

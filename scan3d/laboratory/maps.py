@@ -254,8 +254,7 @@ def _transducer(
     ):
         raise section.error(
             "matrix",
-            "must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with a number for each of the signals; "
-            f"got {rows!r}",
+            f"must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with {count} numbers, one for each signal",
         )
     return tuple(tuple(map(float, row)) for row in rows), section.numbers("offset", count, (0.0,) * count)
 

@@ -231,19 +231,19 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
 
 def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
     body, middle = rounded_body(mesh, length, radius)
-    places = [_places((track.position - middle) / length) for track in tracks]
+    positions = [(track.position - middle) / length for track in tracks]
+    places = [_places(position, position[:0, 0]) for position in positions]
     found: dict[int, _Swept] = {}
     again = list(range(len(tracks)))
     for _ in range(2):  # the second time with the rows where the contact changes much
         order = sorted(again, key=lambda k: len(places[k]))
         for first in range(0, len(order), _AT_ONCE):
             rows = order[first : first + _AT_ONCE]
-            positions = [(tracks[k].position - middle) / length for k in rows]
-            parts = _swept(body, [tracks[k] for k in rows], positions, [places[k] for k in rows])
+            parts = _swept(body, [tracks[k] for k in rows], [positions[k] for k in rows], [places[k] for k in rows])
             found |= dict(zip(rows, parts, strict=True))
         again = [k for k in order if len(found[k].turned)]
         for k in again:
-            places[k] = np.union1d(places[k], found[k].turned)
+            places[k] = _places(positions[k], found[k].turned)
     return [found[k].reactions for k in range(len(tracks))]
 
 
@@ -253,8 +253,8 @@ class _Swept(NamedTuple):
     """Rows between places from one to the next of which the contact changes much."""
 
 
-def _places(position: Array) -> Array:
-    """Where on its path a sweep is solved: (k,) in rows.
+def _places(position: Array, more: Array) -> Array:
+    """Where on its path a sweep is solved: (k,) in rows, `more` among them.
 
     At every row, unless the rows are closer to each other than needed.
     """
@@ -263,9 +263,8 @@ def _places(position: Array) -> Array:
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
     # rods that are interpolated between places so near have contacts that are off by some 1e-5 rod lengths
     count = math.ceil(path[-1] / 0.0025) + 1
-    if count >= n:
-        return every
-    return np.asarray(np.interp(np.linspace(0, path[-1], count), path, every))
+    at = np.union1d(np.interp(np.linspace(0, path[-1], count), path, every), more)
+    return at if len(at) < n else every
 
 
 def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], places: list[Array]) -> list[_Swept]:
