@@ -32,7 +32,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions
+from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions, ratio
 from planar.elastica import piece
 from planar.reconstruction import Contacts
 from planar.sweeping import Phase
@@ -48,8 +48,8 @@ _SHARE, _ADDED = 0.6, 2e-3
 _SAME_PLACE = 1e-6
 # Distance, in rod lengths, up to which exact contacts are at one corner, and steps of Newton's iteration to it along the rod.
 _SAME_CORNER, _FOOT_STEPS = 1e-9, 3
-# Forces at the first contact that are tried, over the whole one, and halvings of the interval with the second at the tip.
-_TRIED, _LARGEST, _HALVINGS = 200, 4.0, 60
+# Forces at the first contact that are tried, over the whole one.
+_TRIED, _LARGEST = 200, 4.0
 
 
 def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) -> float:
@@ -88,11 +88,7 @@ def second_contacts(
     errors
         standard deviations of the contacts under noise; None: exact.
     """
-    n = len(contacts)
-    zero = np.zeros(n)
-    place, beta_error, slope_error = (
-        (zero, zero, zero) if errors is None else (errors.largest, errors.friction_angle, errors.slope)
-    )
+    beta_error = np.zeros(len(contacts)) if errors is None else errors.friction_angle
     tangential = contacts.phase == Phase.TANGENTIAL
     zeta = (
         constant_friction_angle(contacts, errors) if friction is None else np.arctan(np.asarray(friction, dtype=float))
@@ -103,27 +99,45 @@ def second_contacts(
         # a tip contact has less
         found = (tangential & (np.abs(off) > allowed)) | ((contacts.phase == Phase.TIP) & (off > allowed))
         # a step that leaves the rod's line is explained by an end that is known to be wrong
-        found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential & ~found, place, slope_error)
+        found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential & ~found, errors)
     return np.asarray(found)
 
 
-def _steps(point: Array, slope: Array) -> tuple[Array, Array, Array]:
-    """Of the steps (n - 1,) between places (n, 2) with slopes (n,): length, turn, and angle from the mean slope."""
-    chord = np.diff(point, axis=0)
-    angle = np.arctan2(chord[:, 1], chord[:, 0]) - (slope[1:] + slope[:-1]) / 2
-    return np.hypot(*chord.T), np.diff(slope), np.abs(np.remainder(angle + np.pi / 2, np.pi) - np.pi / 2)
+def _steps(point: Array, slope: Array, rows: int = 1) -> tuple[Array, Array, Array]:
+    """Of the steps (n - rows,) between places (n, 2) with slopes (n,): length, turn, and angle from the mean slope."""
+    chord = point[rows:] - point[:-rows]
+    angle = np.arctan2(chord[:, 1], chord[:, 0]) - (slope[rows:] + slope[:-rows]) / 2
+    off = np.abs(np.remainder(angle + np.pi / 2, np.pi) - np.pi / 2)
+    return np.hypot(*chord.T), slope[rows:] - slope[:-rows], off
 
 
-def _off_path(x0: Array, contacts: Contacts, tangential: Mask, place: Array, slope_error: Array) -> Mask:
-    """Both ends of steps in which a tangential contact left the line of the rod."""
-    length, turn, angle = _steps(contacts.point, contacts.slope)
-    noise = (place[1:] + place[:-1]) / np.maximum(length, np.finfo(float).tiny) + slope_error[1:] + slope_error[:-1]
-    both = tangential[1:] & tangential[:-1]
-    moved = (length > _SAME_PLACE) & (length < SNAPPED * np.abs(np.diff(x0)))
-    wrong = both & moved & (angle > _SHARE * np.abs(turn) + _ADDED + _DEVIATIONS * noise)
+def _off_path(x0: Array, contacts: Contacts, tangential: Mask, errors: Errors | None) -> Mask:
+    """Both ends of steps in which a tangential contact left the line of the rod, and contacts beside their neighbours' line.
+
+    A snap leaves the line as well, but the row after it doesn't lead back to it.
+    """
+
+    def steps(rows: int, share: float) -> tuple[Mask, Array, Array, Array]:
+        length, turn, angle = _steps(contacts.point, contacts.slope, rows)
+        allowed = share * np.abs(turn) + _ADDED
+        if errors is not None:  # of the two ends, each by its place across the line and its slope, at worst together
+            slope = (contacts.slope[rows:] + contacts.slope[:-rows]) / 2
+            normal = np.stack([-np.sin(slope), np.cos(slope)], axis=1)
+            across = [
+                np.einsum("ni,nij,nj->n", normal, end, normal) for end in (errors.point[rows:], errors.point[:-rows])
+            ]
+            ends = ratio(np.sqrt(across), length) + np.stack([errors.slope[rows:], errors.slope[:-rows]]) / 2
+            allowed = allowed + _DEVIATIONS * np.hypot(*ends)
+        return tangential[rows:] & tangential[:-rows], length, angle, allowed
+
+    both, length, angle, allowed = steps(1, _SHARE)
+    off = np.where(both & (length > _SAME_PLACE) & (angle > allowed), angle, 0.0)
+    wrong = (off > 0) & (length < SNAPPED * np.abs(np.diff(x0)))
     found = np.zeros(len(contacts), dtype=bool)
     found[1:] |= wrong
     found[:-1] |= wrong
+    around, _, angle, allowed = steps(2, 0.0)
+    found[1:-1] |= around & (angle <= allowed) & (allowed < np.maximum(off[1:], off[:-1]))
     return found
 
 
@@ -231,25 +245,17 @@ def recover_at_tip(
     to_a = piece(-across, -along, up, -moment, s_a)
     pushed = np.stack([np.sin(to_a.phi + zeta), -np.cos(to_a.phi + zeta)])
 
-    def end(force: Array, rows: Index) -> Array:
-        """κ at the tip (m, k) with the first force (m, k)."""
-        fx, fy = -across[rows, None] - force * pushed[0, rows, None], -along[rows, None] - force * pushed[1, rows, None]
-        return piece(fx, fy, to_a.phi[rows, None], to_a.kappa[rows, None], (1 - s_a)[rows, None]).kappa
+    def bends(force: Array, across: Array, along: Array, px: Array, py: Array, *start: Array) -> Array:
+        """κ at the tip with the first force."""
+        return piece(-across - force * px, -along - force * py, *start).kappa
 
-    everything = np.arange(len(base))
-    whole = np.hypot(across, along)
-    tried = np.linspace(0, _LARGEST, _TRIED) * whole[:, None]
-    values = end(tried, everything)
-    changes = (values[:, :-1] < 0) != (values[:, 1:] < 0)
-    column = np.argmax(changes, axis=1)
-    exists = changes.any(axis=1)
-    low, high = tried[everything, column], tried[everything, column + 1]
-    falling = values[everything, column] < 0
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        same = (end(middle[:, None], everything)[:, 0] < 0) == falling
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    force = np.where(exists, (low + high) / 2, np.nan)
+    rods = across, along, *pushed, to_a.phi, to_a.kappa, 1 - s_a
+    tried = np.linspace(0, _LARGEST, _TRIED) * np.hypot(across, along)[:, None]
+    below = bends(tried, *(column[:, None] for column in rods)) < 0
+    first_change = np.argmax(below[:, :-1] != below[:, 1:], axis=1)
+    bracket = tried[np.arange(len(base)), first_change], tried[np.arange(len(base)), first_change + 1]
+    # NaN for rods without a change
+    force = scipy.optimize.elementwise.find_root(bends, bracket, args=rods).x
     fx, fy = -across - force * pushed[0], -along - force * pushed[1]
     tip = piece(fx, fy, to_a.phi, to_a.kappa, 1 - s_a)
     point = np.stack([base + to_a.x + tip.x, to_a.y + tip.y], axis=1)

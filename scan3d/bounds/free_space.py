@@ -1,10 +1,7 @@
 """Free space in the planes of the slices: what rods have passed is not of the body, whatever its shape and its friction.
 
-Rods move continuously from one row of a sweep to the next and never enter the body.  A point about which the loop of the one
-rod, the path of its end, the next rod and the path of the base winds is met by a rod in between (C14).  The rod's end moves
-along a path of which only points are recorded: next to its chord nothing is claimed, as far as the path may bulge.  Across a
-snap nothing is known of it, and such steps count for nothing.  Neither do rods that were felt and gave no contact, as those
-with a second contact: of them only the part up to the first one is free.
+Why, `planar.hidden` says (C14): a point about which the loop of a rod, the path of its end, the next rod and the path of the
+base winds is met by a rod in between.  Steps across snaps, and rods that were felt and gave no contact, count for nothing.
 
 Free space is kept on a grid in each plane.  A cell counts as free if a place less than its diagonal away is.
 

@@ -92,22 +92,13 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     in_body = _joined(in_body, seeds)
     in_air = _joined(to_contact >= R - half - error, grid.border())
     to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
-    outer, inner = (
-        _below(to_body, level, grid.origin, grid.step),
-        _below(-to_air, -level, grid.origin, grid.step),
-    )
-    contradictions = [
-        f"{count} {what}"
-        for count, what in (
-            (
-                np.count_nonzero(grid.at(to_body, contacts) > level + half + errors),
-                "contacts lie outside the outer body",
-            ),
-            (np.count_nonzero(grid.at(to_air, free) > level + half + of_free), "free places lie inside the inner body"),
-            (np.count_nonzero((to_body > level) & (to_air > level)), "cells are outside the one and inside the other"),
-        )
-        if count
-    ]
+    outer, inner = _below(to_body, level, grid), _below(-to_air, -level, grid)
+    against = {
+        "contacts lie outside the outer body": grid.at(to_body, contacts) > level + half + errors,
+        "free places lie inside the inner body": grid.at(to_air, free) > level + half + of_free,
+        "cells are outside the one and inside the other": (to_body > level) & (to_air > level),
+    }
+    contradictions = [f"{np.count_nonzero(where)} {what}" for what, where in against.items() if where.any()]
     refuted = unbounded = None
     bound = np.inf
     if contradictions:
@@ -217,11 +208,10 @@ class _Grid:
         return found
 
 
-def _below(field: Array, level: float, origin: Array, step: float) -> Any:
+def _below(field: Array, level: float, grid: _Grid) -> Any:
     """The surface of the region below a level, as a `trimesh.Trimesh`, outward; empty where there is none.
 
-    field (nx, ny, nz)
-        values at ``origin + step * (i, j, k)``, linear in between; above the level at the border of the grid.
+    The field has values at the centres of the cells, above the level at the border, and is linear in between.
     """
     import trimesh
     from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
@@ -230,14 +220,13 @@ def _below(field: Array, level: float, origin: Array, step: float) -> Any:
 
     image = vtkImageData()
     image.SetDimensions(*field.shape)
-    image.SetOrigin(*origin)
-    image.SetSpacing(step, step, step)
+    image.SetOrigin(*grid.origin)
+    image.SetSpacing(*np.full(3, grid.step))
     image.GetPointData().SetScalars(numpy_to_vtk(np.asarray(field, dtype=float).ravel(order="F"), deep=True))
     contour = vtkFlyingEdges3D()
     contour.SetInputData(image)
     contour.SetValue(0, level)
     contour.ComputeNormalsOff()
-    contour.ComputeGradientsOff()
     contour.ComputeScalarsOff()
     contour.Update()
     found = contour.GetOutput()

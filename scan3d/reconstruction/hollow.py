@@ -125,7 +125,10 @@ class _Rows:
         return self._unconfirmed(left & beside, left & ~beside, 0.0)
 
     def _unconfirmed(self, asked: Mask, others: Mask, apart: float) -> Mask:
-        """(n,) contacts of those asked that lie farther than that, and than their errors, from all of the others."""
+        """(n,) contacts of those asked that lie farther than that, and than their errors, from all of the others.
+
+        What is known worse than a contact confirms it no better for that.
+        """
         found = np.zeros(len(asked), dtype=bool)
         error, own = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf), int(asked is others)
         for plane, members in self._slices():
@@ -134,7 +137,9 @@ class _Rows:
             if len(rows) and len(known) > own:
                 points, places = (self._in_plane(self.found.point[part], part, plane) for part in (rows, known))
                 distance, nearest = cKDTree(places).query(points, k=[1 + own])
-                found[rows] = distance[:, 0] > apart + error[rows] + error[known[nearest[:, 0]]]
+                found[rows] = distance[:, 0] > apart + error[rows] + np.minimum(
+                    error[rows], error[known[nearest[:, 0]]]
+                )
         return found
 
     def passed(self, refused: Mask) -> Mask:
@@ -176,17 +181,15 @@ class _Rows:
 
     def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:
         """The single contacts and those of rods that touch a known corner, and with their tip another place, in addition."""
-        touched = single.row[single.phase == planar.Phase.TANGENTIAL]
-        asked = self.pressed.copy()
+        touched, asked = np.zeros(len(self.pressed), dtype=bool), self.pressed.copy()
+        touched[single.row] = single.phase == planar.Phase.TANGENTIAL
         asked[single.row] = False
         first, slice_of = np.full(len(asked), np.nan), np.zeros(len(asked), dtype=np.int32)
-        for number, sweep in zip(self.slice, self.sweeps, strict=True):
-            slice_of[sweep] = number
-        for number in np.unique(slice_of[asked]):
-            plane = self.axes[np.argmax(slice_of == number), :2]
-            around = touched[slice_of[touched] == number]
+        for number, (plane, members) in zip(np.unique(self.slice), self._slices(), strict=True):
+            rows = np.concatenate(members)
+            slice_of[rows], around = number, rows[touched[rows]]
             corners = planar.corners(self._in_plane(self.found.point[around], around, plane))
-            for sweep in (self.sweeps[k] for k in np.flatnonzero(self.slice == number)):
+            for sweep in members:
                 known = self._of_sweep(corners, sweep, plane)
                 x0, fx, fy, moment = (column[sweep] for column in self.columns)
                 at = planar.first_contacts(x0, fx, fy, moment, self.found.s1[sweep], known)

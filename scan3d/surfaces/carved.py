@@ -70,6 +70,8 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     Rows that were felt and are not in the cloud, as those with second contacts, count as unknown.  Raises InputError for clouds
     of the spatial model, and for contacts that do not span a body.
     """
+    import trimesh
+
     touched = cloud.fattened or cloud
     sheets = sheets_of(recording, touched)
     kept = ~contradicted(sheets, touched)
@@ -85,7 +87,10 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
     points[: len(cloud)] = cloud.points
     vertices, faces = _refined(points, faces, 2 * spacing)
-    surface = _mesh(vertices, faces)
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    surface.metadata.update(
+        method="carved", reason="tetrahedra between the contacts, carved by what the rods have passed"
+    )
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
     known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, apart)
     surface.vertex_attributes["known"] = known
@@ -262,14 +267,6 @@ def _refined(vertices: Array, faces: Index, longest: float) -> tuple[Array, Inde
         ):
             parts += [np.stack(triangle, axis=1)[count == k + 1] for triangle in triangles]
         faces = np.concatenate(parts)
-
-
-def _mesh(vertices: Array, faces: Index) -> Any:
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.metadata.update(method="carved", reason="tetrahedra between the contacts, carved by what the rods have passed")
-    return mesh
 
 
 def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, gap: float) -> NDArray[np.int8]:
