@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.path import Path as MatplotlibPath
 from shapes import box, letter_l
 from small_scans import FOLDER, undrawn
 
@@ -16,6 +17,7 @@ import scan3d
 from scan3d import pipeline
 from scan3d.bounds.free_space import rods_of
 from scan3d.files.meshes import judge_mesh, load_mesh
+from scan3d.geometry import sections
 from scan3d.geometry.convexity import is_convex, runs_both_ways
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame, slice_outlines
@@ -51,6 +53,30 @@ def test_sections_of_shells_are_those_of_their_union(places, areas, height):
     mesh = trimesh.util.concatenate([at(*place) for place in places])
     (outlines,) = slice_outlines(mesh, FLAT, np.array([height]))
     assert sorted(map(area, outlines)) == pytest.approx(areas, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_outlines_go_around_all_that_lines_enclose(seed):
+    # on a grid, where edges coincide and lines cross themselves without an area
+    draw = np.random.default_rng(seed)
+    lines = [np.round(2 * draw.normal(size=(draw.integers(3, 9), 2))) for _ in range(draw.integers(1, 4))]
+    points = draw.uniform(-6, 6, size=(1000, 2))
+    by_lines, by_outlines = (
+        np.any([MatplotlibPath(line).contains_points(points) for line in closed], axis=0)
+        for closed in (lines, sections._outer_outlines(lines, 10.0))
+    )
+    assert by_lines.any()
+    assert not (by_lines & ~by_outlines).any()
+
+
+def test_outlines_end_where_edges_go_the_same_way():
+    # a box of which one vertex lies on an edge, and two are missing
+    x, y = [-10, 10, -10, -10, -10, 10, -10], [-15, -15, 15, 15, -15, -15, 15]
+    vertices = np.column_stack([x, y, [-20, -20, -20, -10, 20, 20, 20]])
+    faces = [list(map(int, face)) for face in "034 042 230 354 246 456 253 152 261 165".split()]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    found = slice_outlines(mesh, FLAT, np.linspace(-19, 19, 16))
+    assert all(area(line) > 0 for lines in found for line in lines)
 
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0.3, -0.5, 0.8)])

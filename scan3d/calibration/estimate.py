@@ -124,8 +124,7 @@ def _of_rig(problem: Problem, nominal: Rig, noise: Noise, place: float | None) -
     rig = first_rig(few, nominal, noise)
     strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, _ROUGH)
     begun = fitted(strong, rig, noise, 1)
-    away = np.abs(begun.rows.misclosure[begun.rows.used[:, 2], 2])
-    if nominal.marched and not (len(away) and np.median(away) < 3 * ROBOTS):  # a fit would take long, and be none
+    if nominal.marched and not _away(begun) < 3 * ROBOTS:  # a fit would take long, and be none
         raise _no_fit(rig.reference, "")
     free = _determined(strong, rig, step * begun.normal)
     if (free != strong.free).any():
@@ -358,9 +357,15 @@ def _check(fit: Fit, recording: Recording) -> None:
     )
     seen.append(f"the noise in the air is {share(in_air(fit))}")
     if used.any():
-        away = recording.rod.length_m * float(np.median(np.abs(fit.rows.misclosure[used, 2])))
+        away = recording.rod.length_m * _away(fit)
         seen.append(f"{used.sum()} of {len(used)} contacts lie {length(away, 'm', digits=2)} from it in the median")
     raise _no_fit(fit.rig.reference, f" ({', '.join(seen)})")
+
+
+def _away(fit: Fit) -> float:
+    """The median distance of the contacts from the reference, in rod lengths; NaN without any."""
+    away = np.abs(fit.rows.misclosure[fit.rows.used[:, 2], 2])
+    return float(np.median(away)) if len(away) else math.nan
 
 
 def _no_fit(reference: Reference, detail: str) -> InputError:
@@ -417,7 +422,7 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     begun.sort(key=lambda fit: fit.cost)
     best = begun[0].rig
     if problem.free[SHAPE]:
-        if begun[0].cost > begun[0].freedom:  # contacts are farther off than a shape moves them
+        if not _away(begun[0]) < 10 * ROBOTS:  # as far as contacts of no fit
             raise _no_fit(best.reference, "")
         free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
         coarse = replace(problem.rows(evenly(heavy, _SEARCHED)), free=free)

@@ -167,7 +167,8 @@ def _outer_outlines(lines: list[Array], size: float) -> list[Array]:
     Holes, and what lies in them, are left out.
     """
     lines = [line[np.hypot(*(line - np.roll(line, 1, axis=0)).T) > ROUNDING * size] for line in lines]
-    lines = [line for line in lines if len(line) > 2 and abs(_area(line)) > ROUNDING * size**2]
+    # a line that crosses itself may have no area, but not one that encloses nothing
+    lines = [line for line in lines if np.abs(_turned(line)).sum() > ROUNDING * size**2]
     if not lines:
         return []
     start = np.concatenate(lines)
@@ -238,23 +239,23 @@ def _traced(start: Array, stop: Array, close: float) -> list[Array]:
     a, b = vertex[: len(start)], vertex[len(start) :]
     edges = np.unique(np.sort(np.stack([a, b], axis=1), axis=1), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
+    both = np.concatenate([edges, edges[:, ::-1]])
+    along = ends[both[:, 1]] - ends[both[:, 0]]
+    # in the order of their directions, so that each step of a walk has one step before it, also where directions are equal
     neighbours: dict[int, list[int]] = {}
-    for p, q in edges.tolist():
+    for p, q in both[np.argsort(np.arctan2(along[:, 1], along[:, 0]), kind="stable")].tolist():
         neighbours.setdefault(p, []).append(q)
-        neighbours.setdefault(q, []).append(p)
     left, lines = set(neighbours), []
     while left:
         first = min(left, key=lambda p: (ends[p, 1], ends[p, 0]))
-        walk, before, here = [first], -np.pi / 2, first
+        walk = [first, neighbours[first][0]]
         while True:
-            directions = [ends[q] - ends[here] for q in neighbours[here]]
-            turns = [(np.arctan2(d[1], d[0]) - before) % (2 * np.pi) or 2 * np.pi for d in directions]
-            there = neighbours[here][int(np.argmin(turns))]
-            if len(walk) > 1 and here == walk[0] and there == walk[1]:
+            before, here = walk[-2:]
+            beside = neighbours[here]
+            there = beside[(beside.index(before) + 1) % len(beside)]
+            if [here, there] == walk[:2]:
                 break
             walk.append(there)
-            d = ends[here] - ends[there]
-            before, here = float(np.arctan2(d[1], d[0])), there
         lines += [ends[np.array(line)] for line in _simple(walk[:-1])]
         reached, found = {first}, [first]
         while found:
@@ -290,8 +291,12 @@ def _inside(points: Array, polygon: Array) -> Mask:
 
 
 def _area(polygon: Array) -> float:
-    about = polygon - polygon[0]
-    return float(_turn(about, np.roll(about, -1, axis=0)).sum()) / 2
+    return float(_turned(polygon).sum()) / 2
+
+
+def _turned(polygon: Array) -> Array:
+    about = polygon - polygon[:1]
+    return _turn(about, np.roll(about, -1, axis=0))
 
 
 def _turn(p: Array, q: Array) -> Array:
