@@ -73,7 +73,7 @@ def test_outlines_end_where_edges_go_the_same_way():
     # a box of which one vertex lies on an edge, and two are missing
     x, y = [-10, 10, -10, -10, -10, 10, -10], [-15, -15, 15, 15, -15, -15, 15]
     vertices = np.column_stack([x, y, [-20, -20, -20, -10, 20, 20, 20]])
-    faces = [list(map(int, face)) for face in "034 042 230 354 246 456 253 152 261 165".split()]
+    faces = np.array(list("034042230354246456253152261165"), dtype=int).reshape(-1, 3)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     found = slice_outlines(mesh, FLAT, np.linspace(-19, 19, 16))
     assert all(area(line) > 0 for lines in found for line in lines)
