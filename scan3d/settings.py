@@ -45,7 +45,10 @@ class Settings:
     spacing: Spacing = _setting(
         "adaptive", "heights of the slices: adaptive where the bound is widest, cosine dense at the ends"
     )
-    axis: str = _setting("z", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0")
+    axis: str = _setting(
+        "z",
+        "normal of the slices: x, y, z, several such as xyz, a vector such as 1,1,0, or free: in any plane, by facets",
+    )
     sweeps: str = _setting(
         "auto", "sweeps per slice, or in the spatial model per direction, or auto: as many as the body needs"
     )

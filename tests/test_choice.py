@@ -31,7 +31,7 @@ def test_a_polyhedron_between_its_slices_is_recognised_by_its_facets(box, monkey
     assert estimate.metadata["method"] == "bracket"
     assert "a polyhedron of 6 facets" in estimate.metadata["reason"]
     assert scan3d.compare(estimate, mesh).relative < 1e-12
-    monkeypatch.setattr("scan3d.surfaces.between.facets", lambda _: np.empty((0, 4)))
+    monkeypatch.setattr("scan3d.reconstruction.facets.facets", lambda _: np.empty((0, 4)))
     by_turns = surface(cloud)
     assert "as the slopes of neighbouring slices tell" in by_turns.metadata["reason"]
     # what remains is largest two slices from the ends, where three on one side would be needed

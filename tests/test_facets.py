@@ -7,8 +7,10 @@ from scipy.optimize import nnls
 
 import scan3d
 from scan3d.cloud import NormalSource
+from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.pipeline import analyse
+from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among, with_facet_normals
 from scan3d.reconstruction.normals import with_slice_normals
 
@@ -132,3 +134,36 @@ def test_a_corner_with_one_edge_touched_is_a_vertex_of_a_polyhedron_only():
         is_vertex, is_open = vertices_among(corners, planes, touched, 1.0, simple=simple)
         assert corners[is_vertex].tolist() == found
         assert (is_vertex ^ is_open).all()
+
+
+def check_chosen_planes(body, gain, **settings):
+    """The surface is right to 1e-5 of the diagonal, all bounds hold, and they are narrower than along one axis by a factor."""
+    found, along = (
+        analyse(scan3d.simulate(body, scan3d.Plan(friction=(0.0, 0.4), axis=axis, **settings)), body)
+        for axis in ("free", "z")
+    )
+    assert found.comparison.relative < 1e-5
+    assert found.comparison.hausdorff <= found.certificate.bound + 1e-12 * body.scale
+    assert scan3d.compare(found.bounds.inner, body).hausdorff <= found.bounds.bound + 1e-12 * body.scale
+    assert (nearest(body.vertices, found.bounds.inner)[0] <= found.bounds.bound + 1e-12 * body.scale).all()
+    assert found.bounds.bound * gain < along.bounds.bound
+    assert len(found.cloud.slice_height) <= len(along.cloud.slice_height)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_chosen_planes_make_a_polyhedron_and_its_bound_exact(seed):
+    check_chosen_planes(polytope(20, seed), 10, slices=28, samples=48)
+
+
+@pytest.mark.trust
+@pytest.mark.parametrize(("vertices", "gain"), [(50, 30), (100, 10), (200, 0.8)])
+def test_chosen_planes_of_64_slices(vertices, gain):
+    check_chosen_planes(polytope(vertices, 5), gain)
+
+
+def test_planes_of_bodies_without_facets_lie_along_the_axis():
+    for body, noise in ((trimesh.creation.icosphere(subdivisions=3), 0.0), (trimesh.creation.box(), 1e-4)):
+        plan = scan3d.Plan(axis="free", slices=12, samples=32, noise=noise)
+        cloud = contacts(scan3d.simulate(body, plan))
+        assert (cloud.slice_axis == [0.0, 0.0, 1.0]).all()
+        assert len(cloud.slice_height) == 14

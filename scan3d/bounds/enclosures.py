@@ -61,6 +61,8 @@ if TYPE_CHECKING:
 
 # Facets of a hull of contacts that is taken for a polyhedron, whose tangents are tried; slabs bound curved bodies more tightly.
 _FEW_FACETS = 500
+# Axes of slices above which the tangents are tried: slabs along any one of them are wide.
+_FEW_AXES = 3
 # Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
 # radius; the second is tried where the outer body leaves the first.
 _WIDENED = (0.25, 2.0)
@@ -222,7 +224,8 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     bounds = slice_enclosure(cloud, margin, confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
     bounds = _with_cells(bounds, cloud) if exact else bounds
-    return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
+    tighter = len(bounds.inner.faces) <= _FEW_FACETS or len(stacks(cloud)) > _FEW_AXES
+    return _with_tangents(bounds, cloud) if exact and tighter else bounds
 
 
 def bounding_nothing(bounds: Enclosure) -> Enclosure:

@@ -60,7 +60,9 @@ class Plan:
         adaptive spacing stops when the certified bound, relative to the diagonal of the contacts' bounding box, is this small;
         slices whose contours need more contacts for it are swept again with up to 16 times the samples.
     axis
-        normal of the slices: ``"x"``, ``"y"``, ``"z"``, several such as ``"xyz"``, or a vector of three numbers.
+        normal of the slices: ``"x"``, ``"y"``, ``"z"``, several such as ``"xyz"``, or a vector of three numbers.  ``"free"``,
+        with adaptive spacing: of a body whose first slices, along z, show a polyhedron, further ones are in any plane, chosen
+        for its facets and vertices; where all are known there are no more.  Other bodies are sliced along z.
     sweeps
         sweeps per slice, evenly spaced around it, or in the spatial model per direction; None: as many as the body needs.
     samples
@@ -151,7 +153,7 @@ class Plan:
 
     def axes(self) -> Array:
         """Unit normals (k, 3) of the slices."""
-        letters = self.axis if isinstance(self.axis, str) else ""
+        letters = "z" if self.axis == "free" else self.axis if isinstance(self.axis, str) else ""
         try:
             given: list[Any] = [_AXES[letter] for letter in letters]
             vectors = np.array(given or [self.axis], dtype=float)
@@ -160,7 +162,7 @@ class Plan:
         valid = vectors.ndim == 2 and vectors.shape[1] == 3 and np.isfinite(vectors).all() and vectors.any(axis=1).all()
         if not valid or len(set(letters)) < len(letters):
             raise InputError(
-                f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
+                f"axis must be x, y, z, several of them such as xyz, free, or a vector of three numbers that is not zero, "
                 f"got {self.axis!r}"
             )
         vectors /= np.abs(vectors).max(axis=1, keepdims=True)  # so that squares are numbers of a computer

@@ -1,4 +1,4 @@
-"""Facets of a polyhedron from exact contacts in parallel slices, and the normals of the contacts that lie on them.
+"""Facets of a polyhedron from exact contacts in slices, and the normals of the contacts that lie on them.
 
 A slice of a polyhedron is a polygon.  Two contacts on one of its sides with a third between them, or with the rod's tangent at
 one of them along it, show that side: no other convex contour has these contacts.  Other neighbours may be corners of one side,
@@ -6,7 +6,8 @@ and are if that side agrees exactly with what else is known.  Parallel slices cu
 parallel sides, so that two sides with one normal in different slices span a plane.  It is that of a facet if all contacts lie
 behind it.  Two facets may be parallel in these slices only, as those of a double pyramid, and a plane through a side of each
 may cut off the edge between them.  So planes of two sides count only if neither side lies in another plane as well, and if no
-sides are parallel for another reason, such as a body's symmetry.
+sides are parallel for another reason, such as a body's symmetry.  Two sides in slices that cross each other lie in one plane
+only on one facet, unless they meet.
 
 The planes are an estimate, never a proof: no bound rests on them.
 """
@@ -14,17 +15,25 @@ The planes are an estimate, never a proof: no bound rests on them.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit_or_zero
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit, unit_or_zero
 from scan3d.cloud import Cloud, NormalSource
+from scan3d.geometry.hulls import clipped, hull, hull_about_mean
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
 # Planes of unit normals whose entries differ by less, with the body's size as unit, are one: both may be wrong by half of it.
 _SAME = 4 * NEGLIGIBLE
+# Distance of both ends of a side from the line of another one, with the body's size as unit, from which on the two do not meet.
+_APART = 1e-5
+POLYHEDRON = 0.95
+"""Part of the contacts on facets from which on a body counts as a polyhedron: polyhedra of up to 400 vertices have 0.99 in 64
+slices, bodies with rounded edges 0.7."""
 
 
 def facets(cloud: Cloud) -> Array:
@@ -32,9 +41,43 @@ def facets(cloud: Cloud) -> Array:
     if cloud.covariance is not None or cloud.tilt is not None or not len(cloud):
         return np.empty((0, 4))
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    parts = [_of_stack(stack, cloud.points, size, shown) for stack in stacks(cloud) for shown in (True, False)]
+    by_axis = stacks(cloud)
+    parts = [_of_stack(stack, cloud.points, size, shown) for stack in by_axis for shown in (True, False)]
+    parts += [_of_sides(by_axis, cloud.points, size)] if len(by_axis) > 1 else []
     planes, error = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _distinct(planes[np.argsort(error, kind="stable")], size)
+
+
+class Polyhedron(NamedTuple):
+    """What is known of a body by the facets on which its contacts lie."""
+
+    planes: Array
+    """(k, 4) of the facets, n and c with ``<n, x> <= c``."""
+    corners: Array
+    """(c, 3) of the polyhedron that these planes leave of the outer body."""
+    vertex: Mask
+    """(c,) which of them are vertices of the body: any other one may be cut off by a facet that is not known."""
+    share: float
+    """Part of the contacts that lie on the facets."""
+
+
+def polyhedron(cloud: Cloud, inner: Array, outer: Array) -> Polyhedron:
+    """What facets leave of a body that contains points `inner` (v, 3), and lies in the hull of points `outer` (w, 3)."""
+    planes, size, known = facets(cloud), float(np.linalg.norm(np.ptp(cloud.points, axis=0))), 0
+    contacts = on_planes(cloud.points, planes, size)
+    share, left, vertex = len(np.unique(contacts[0])) / len(cloud.points), outer, np.zeros(len(outer), dtype=bool)
+    if share <= 1 / 2:
+        return Polyhedron(planes, left, vertex, share)
+    outer = hull(outer).vertices.view(np.ndarray)
+    while len(planes) > known:
+        left = clipped(outer, planes)
+        vertex, open_ = vertices_among(left, planes, contacts, size, simple=share >= POLYHEDRON)
+        if known and share < POLYHEDRON:
+            break  # the facets of a fine mesh would be found one after another
+        known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
+        contacts = on_planes(cloud.points, planes, size)
+        share = len(np.unique(contacts[0])) / len(cloud.points)
+    return Polyhedron(planes, left, vertex, share)
 
 
 def _distinct(planes: Array, size: float) -> Array:
@@ -159,6 +202,44 @@ def _of_stack(stack: SliceStack, points: Array, size: float, only_shown: bool) -
     doubted = np.isin(run, run[np.append(clash, clash + 1)]) | is_symmetric | (sides.max() == 2)
     found = found[(sides > 2) | ~doubted]
     return planes[found], error[found]
+
+
+def _of_sides(by_axis: list[SliceStack], points: Array, size: float) -> tuple[Array, Array]:
+    """Planes (p, 4) through two of the sides that contacts show in slices of any planes, and their errors (p,).
+
+    The hull of the sides' ends has a face with ends of both.
+    """
+    ends = np.concatenate([_ends(stack, slice_, size) for stack in by_axis for slice_ in stack.slices])
+    if (faces := hull_about_mean(ends.reshape(-1, 3))) is None:
+        return np.empty((0, 4)), np.empty(0)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    pairs = np.unique((faces.simplices // 2)[:, list(permutations(range(3), 2))].reshape(-1, 2), axis=0)
+    pairs = pairs[length[pairs[:, 0]] > length[pairs[:, 1]]]
+    origin, along = ends[pairs[:, 0], 0], unit(ends[pairs[:, 0], 1] - ends[pairs[:, 0], 0])
+    offset = ends[pairs[:, 1]] - origin[:, None]
+    off = offset - (offset * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
+    apart = np.linalg.norm(off, axis=2)
+    rows, far = np.arange(len(pairs)), apart.argmax(axis=1)
+    normals = unit(np.cross(along, off[rows, far]))
+    normals *= np.sign(dot(normals, origin - points.mean(axis=0)))[:, None]
+    error = ROUNDING * size * (1 + size * (1 / length[pairs[:, 0]] + ratio(1.0, apart.max(axis=1))))
+    fits = (error <= NEGLIGIBLE * size) & (apart.min(axis=1) > _APART * size)
+    fits &= np.abs(dot(normals, offset[rows, 1 - far])) <= error
+    planes, error = np.column_stack([normals, dot(normals, origin)])[fits], error[fits]
+    behind = highest(points, planes[:, :3]) - planes[:, 3] <= error
+    return planes[behind], error[behind]
+
+
+def _ends(stack: SliceStack, slice_: Slice, size: float) -> Array:
+    """Ends (s, 2, 3) in the world of those sides of a slice that contacts show."""
+    sides = _sides(slice_, size)
+    angle, value, length, start, _ = sides[:, sides[4] > 0]
+    x, y = np.cos(angle), np.sin(angle)
+    ends = [
+        np.stack([value * x - place * y, value * y + place * x, np.full(len(x), slice_.height)], axis=1)
+        for place in (start, start + length)
+    ]
+    return np.stack(ends, axis=1) @ stack.frame
 
 
 def _sides(slice_: Slice, size: float) -> Array:

@@ -15,6 +15,8 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
+from scan3d.bounds import enclosure
+from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body, check_convex, is_convex
@@ -39,6 +41,7 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
+from scan3d.planning.planes import FIRST_PART, Aims
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import contacts
@@ -88,7 +91,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
-    rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
+    widest = max(width_of(mesh, frame) for frame in frames)
+    rod = plan.rod or Rod.of_length(metres * (float(np.linalg.norm(mesh.extents)) if plan.axis == "free" else widest))
     convex = is_convex(mesh)
     if not convex and not rod.without_thickness().is_simple:
         raise InputError(
@@ -121,7 +125,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             _check_sweeps(scan, plan.samples)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
-            _adapt(scan, rod, report)
+            _adapt(scan, rod, report, until=round(FIRST_PART * plan.slices) if plan.axis == "free" else None)
+            scans = _choose_planes(scan, rod, report) if plan.axis == "free" else scans
         if not convex and plan.sweeps is None:
             _aim(scan, rod)
     return recording_of(scans, rod)
@@ -157,10 +162,45 @@ def _cosine_heights(scan: AxisScan) -> Array:
     return first_heights(*scan.extent, replace(scan.plan, spacing="cosine"))
 
 
-def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequence[AxisScan] = ()) -> None:
+def _choose_planes(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> list[AxisScan]:
+    """Further slices of a polyhedron, each in its own plane, as long as its facets tell where: all scans.
+
+    Those of a body that does not prove a polyhedron go along the axis of its first slices.
+    """
+    plan, scans = scan.plan, [scan]
+    aims: Aims | None = None
+    while (left := plan.slices + BEYOND - sum(len(scan.heights) for scan in scans)) > 0:
+        cloud = contacts(recording_of(scans, rod))
+        if plan.tolerance and enclosure(cloud).bound <= plan.tolerance * np.linalg.norm(np.ptp(cloud.points, axis=0)):
+            break
+        aims = aims or Aims(slice_enclosure(cloud).corners)
+        planes = aims.next_planes(cloud, left)
+        if planes is None:
+            scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND)
+            _adapt(scan, rod, report, scans[1:])
+            break
+        for *normal, height in planes:
+            further = replace(
+                scan, frame=slice_frame(np.array(normal)), number=len(scans), heights=[], loops=[], swept=[]
+            )
+            further.scan(np.array([height]))
+            scans.append(further)
+        report(sum(len(scan.heights) for scan in scans))
+        if not len(planes):
+            break
+    return scans
+
+
+def _adapt(
+    scan: AxisScan,
+    rod: Rod,
+    report: Callable[[int], None],
+    others: Sequence[AxisScan] = (),
+    until: int | None = None,
+) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise.
 
-    Contacts of finished scans along other axes are given to the planner as well.
+    Contacts of finished scans along other axes are given to the planner as well.  Ends at `until` slices, if that is given.
     """
     # four times doubled, so that contacts show the contour within the tolerance
     finest, memory = 16 * scan.plan.samples, SlabMemory()
@@ -168,7 +208,8 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequ
         with suppress(InputError):  # the first slices alone may span no body
             # gaps between contacts make secants to close slices steep
             _refine(scan, rod, 0.25 * scan.plan.tolerance, finest)
-    while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
+    most = scan.plan.slices + BEYOND
+    while (left := most - len(scan.heights)) > 0 and len(scan.heights) < (until or most):
         try:
             cloud = contacts(recording_of([*others, scan], rod))
             heights = next_heights(cloud, scan.plan, axis=scan.frame[2], left=left, memory=memory)

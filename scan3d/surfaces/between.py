@@ -46,9 +46,9 @@ from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import clipped, cut_polytope, hull, plane_faces
+from scan3d.geometry.hulls import cut_polytope, hull, plane_faces
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
-from scan3d.reconstruction.facets import completed, facets, on_planes, vertices_among
+from scan3d.reconstruction.facets import POLYHEDRON, on_planes, polyhedron
 from scan3d.reconstruction.slices import SliceStack, stacks
 
 EVEN = 0.25
@@ -58,11 +58,6 @@ FRACTIONS = (EVEN, 0.0, 0.5, 1.0)
 polyhedron passes at 1."""
 UNKNOWN = 0.5
 """The fraction where nothing tells how far the body reaches: the error is at most half the gap."""
-
-
-# Part of the contacts on facets from which on a body counts as a polyhedron: polyhedra of up to 400 vertices have 0.99 in 64
-# slices, bodies with rounded edges 0.7.
-_POLYHEDRON = 0.95
 
 
 class Room(NamedTuple):
@@ -114,39 +109,30 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     foot, number, stack = slabs.foot[open_], slabs.number[open_], slabs.stack
     away, fixed = bounds.corners[open_] - foot, np.where(np.isin(number, (0, len(stack.slices))), UNKNOWN, np.nan)
     found = Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack))
-    return _below_facets(found, cloud, stack) if has_edges else found
+    outer = bounds.corners if bounds.tighter is None else bounds.tighter.corners
+    return _below_facets(found, cloud, stack, outer) if has_edges else found
 
 
-def _below_facets(found: Room, cloud: Cloud, stack: SliceStack) -> Room:
+def _below_facets(found: Room, cloud: Cloud, stack: SliceStack, outer: Array) -> Room:
     """The room that facets leave, if most contacts lie on them.
 
-    A corner in which more of them meet than make one is a vertex of the body, and so is that of three facets with contacts on
-    two of its edges.  Any other corner may be cut off by a facet that is not known.
+    Any corner of them that is not known to be a vertex may be cut off by a facet that is not known.
     """
-    planes, size = facets(cloud), float(np.linalg.norm(np.ptp(found.points, axis=0)))
-    contacts = on_planes(found.points, planes, size)
-    if (share := len(np.unique(contacts[0])) / len(found.points)) <= 1 / 2:
-        return found
-    corners, contours, known = found.foot + found.away, found.contours, 0
+    corners, contours = found.foot + found.away, found.contours
+    size = float(np.linalg.norm(np.ptp(found.points, axis=0)))
     inner = hull(found.points).vertices.view(np.ndarray)
-    outer = hull(np.concatenate([inner, corners])).vertices.view(np.ndarray)
-    while len(planes) > known:
-        left = clipped(outer, planes)
-        vertex, open_ = vertices_among(left, planes, contacts, size, simple=share >= _POLYHEDRON)
-        if known and share < _POLYHEDRON:
-            break  # the facets of a fine mesh would be found one after another
-        known, planes = len(planes), completed(planes, cloud, np.concatenate([inner, left[vertex]]), left[open_])
-        contacts = on_planes(found.points, planes, size)
-        share = len(np.unique(contacts[0])) / len(found.points)
+    planes, left, vertex, share = polyhedron(cloud, inner, np.concatenate([inner, outer]))
+    if share <= 1 / 2:
+        return found
     inside, remain = (
         highest(planes, np.column_stack([points, -np.ones(len(points))])) < -NEGLIGIBLE * size
         for points in (corners, contours)
     )
     is_open = np.isin(np.arange(len(left)), on_planes(left, planes, size)[0]) & ~vertex
     points, corners = np.concatenate([found.points, left[vertex]]), np.concatenate([corners[inside], left[is_open]])
-    foot, count = nearest(corners, hull(points))[2], len(planes) if share >= _POLYHEDRON else 0
+    foot, count = nearest(corners, hull(points))[2], len(planes) if share >= POLYHEDRON else 0
     away, number = corners - foot, np.searchsorted(stack.heights, corners @ stack.frame[2])
-    fixed = np.append(found.fixed[inside], np.full(is_open.sum(), UNKNOWN if share >= _POLYHEDRON else np.nan))
+    fixed = np.append(found.fixed[inside], np.full(is_open.sum(), UNKNOWN if share >= POLYHEDRON else np.nan))
     return Room(points, foot, away, _local(stack, number, away), fixed, contours[remain], count)
 
 
