@@ -10,10 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d.arrays import Array, evenly, unit
+from scan3d.bounds import enclosure
+from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.triangles import representatives
+from scan3d.planning.plan import Plan
+from scan3d.planning.several_axes import Further
 from scan3d.reconstruction.facets import POLYHEDRON, polyhedron
 
 FIRST_PART = 3 / 8
@@ -33,22 +37,24 @@ _AREA, _TURN, _SIDE = 0.01, 0.01, 0.1
 
 
 class Aims:
-    """The corners at which slices of a body in a hull of points (w, 3) were aimed: at none of them again before all others."""
+    """The corners at which slices of a body were aimed: at none of them again before all others."""
 
-    def __init__(self, outer: Array) -> None:
-        self._outer, self._corners, self._rounds = outer, np.empty((0, 3)), 0
+    def __init__(self) -> None:
+        self._outer: Array | None = None
+        self._corners, self._rounds = np.empty((0, 3)), 0
 
-    def next_planes(self, cloud: Cloud, left: int) -> Array | None:
-        """Planes (k, 4), n and c with ``<n, x> = c``, of the slices to be swept next, k <= left; none if nothing is open.
-
-        None instead if the contacts do not show a polyhedron.
-        """
+    def next_slices(self, cloud: Cloud, plan: Plan, left: int) -> Further:
+        """The slices to be swept next, as `several_axes.next_slices`: alone along one axis if contacts show no polyhedron."""
         inner, size = hull(cloud.points), float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+        if plan.tolerance and enclosure(cloud).bound <= plan.tolerance * size:
+            return Further([])
+        if self._outer is None:
+            self._outer = slice_enclosure(cloud).corners
         within = inner.vertices.view(np.ndarray)
         known = polyhedron(cloud, within, np.concatenate([within, self._outer]))
+        if known.share < min(_START + _RISE * self._rounds, POLYHEDRON):
+            return Further([], cloud.slice_axis[0])
         self._rounds += 1
-        if known.share < min(_START + _RISE * (self._rounds - 1), POLYHEDRON):
-            return None
         vertices, corners = known.corners[known.vertex], known.corners[~known.vertex]
         gap, _, foot = nearest(corners, hull(np.concatenate([cloud.points, vertices])))
         aimed = (np.linalg.norm(corners[:, None] - self._corners, axis=2) <= _NEAR * size).sum(axis=1)
@@ -68,7 +74,7 @@ class Aims:
             planes += [] if plane is None else [plane]
             self._corners = np.concatenate([self._corners, corners[through]])
             corners, places = np.delete(corners, through, axis=0), np.delete(places, through, axis=0)
-        return np.reshape(planes, (-1, 4))
+        return Further([(plane[:3], plane[3:]) for plane in planes])
 
 
 def _plane_of(places: Array, points: Array, normals: Array, size: float) -> tuple[Array | None, list[int]]:

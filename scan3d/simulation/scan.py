@@ -15,8 +15,6 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds import enclosure
-from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body, check_convex, is_convex
@@ -45,6 +43,7 @@ from scan3d.planning.planes import FIRST_PART, Aims
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import check_simple, drawn_friction, grown_extent, recorded, rounded_body, sections
@@ -106,8 +105,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
     # more slices along each axis are planned for one axis after the other
-    few = not plan.tolerance or plan.slices <= 28
-    if plan.spacing == "adaptive" and not plan.noise and len(scans) > 1 and few:
+    few = len(scans) > 1 and (not plan.tolerance or plan.slices <= 28)
+    if plan.spacing == "adaptive" and not plan.noise and (few or plan.axis == "free"):
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
@@ -125,8 +124,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             _check_sweeps(scan, plan.samples)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
-            _adapt(scan, rod, report, until=round(FIRST_PART * plan.slices) if plan.axis == "free" else None)
-            scans = _choose_planes(scan, rod, report) if plan.axis == "free" else scans
+            _adapt(scan, rod, report)
         if not convex and plan.sweeps is None:
             _aim(scan, rod)
     return recording_of(scans, rod)
@@ -160,35 +158,6 @@ def _check_sweeps(scan: AxisScan, samples: int) -> None:
 def _cosine_heights(scan: AxisScan) -> Array:
     """All heights of cosine spacing."""
     return first_heights(*scan.extent, replace(scan.plan, spacing="cosine"))
-
-
-def _choose_planes(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> list[AxisScan]:
-    """Further slices of a polyhedron, each in its own plane, as long as its facets tell where: all scans.
-
-    Those of a body that does not prove a polyhedron go along the axis of its first slices.
-    """
-    plan, scans = scan.plan, [scan]
-    aims: Aims | None = None
-    while (left := plan.slices + BEYOND - sum(len(scan.heights) for scan in scans)) > 0:
-        cloud = contacts(recording_of(scans, rod))
-        if plan.tolerance and enclosure(cloud).bound <= plan.tolerance * np.linalg.norm(np.ptp(cloud.points, axis=0)):
-            break
-        aims = aims or Aims(slice_enclosure(cloud).corners)
-        planes = aims.next_planes(cloud, left)
-        if planes is None:
-            scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND)
-            _adapt(scan, rod, report, scans[1:])
-            break
-        for *normal, height in planes:
-            further = replace(
-                scan, frame=slice_frame(np.array(normal)), number=len(scans), heights=[], loops=[], swept=[]
-            )
-            further.scan(np.array([height]))
-            scans.append(further)
-        report(sum(len(scan.heights) for scan in scans))
-        if not len(planes):
-            break
-    return scans
 
 
 def _adapt(
@@ -260,12 +229,12 @@ def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
 
 
 def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -> None:
-    """Scan along several axes, of which the contacts along all choose the next heights, and the axis.
+    """Scan along several axes, of which the contacts along all choose the next heights, and the axis, or in any planes.
 
     Only exact contacts along different axes agree well enough for this.
     """
-    plan = scans[0].plan
-    count = plan.slices * len(scans)
+    plan, next_ones = scans[0].plan, next_slices
+    count, most = plan.slices * len(scans), (plan.slices + BEYOND) * len(scans)
 
     def report(_: int) -> None:
         if progress is not None:
@@ -276,11 +245,16 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
         _check_sweeps(scan, plan.samples)
         report(0)
 
-    for scan in scans:
-        scanned(scan, first_heights_together(*scan.extent, plan))
-    while (left := count + BEYOND * len(scans) - sum(len(scan.heights) for scan in scans)) > 0:
+    if plan.axis == "free":
+        next_ones = Aims().next_slices
+        scanned(scans[0], first_heights(*scans[0].extent, plan))
+        _adapt(scans[0], rod, report, until=round(FIRST_PART * plan.slices))
+    else:
+        for scan in scans:
+            scanned(scan, first_heights_together(*scan.extent, plan))
+    while (left := most - sum(len(scan.heights) for scan in scans)) > 0:
         try:
-            further, alone = next_slices(contacts(recording_of(scans, rod)), plan, left)
+            further, alone = next_ones(contacts(recording_of(scans, rod)), plan, left)
         except InputError:  # too few contacts to say where others are needed
             share = -(-left // len(scans))
             apart = [np.setdiff1d(_cosine_heights(scan), scan.heights)[:share] for scan in scans]
@@ -298,7 +272,12 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
 
 
 def _along(scans: list[AxisScan], axis: Array) -> AxisScan:
-    return min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max()))
+    """The scan along an axis, which is added if there is none."""
+    scan = min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max()))
+    if np.abs(scan.frame[2] - axis).max() > SAME_AXIS:
+        scan = replace(scan, frame=slice_frame(axis), number=len(scans), heights=[], loops=[], swept=[])
+        scans.append(scan)
+    return scan
 
 
 class _Swept(NamedTuple):

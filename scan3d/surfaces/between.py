@@ -109,7 +109,7 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     foot, number, stack = slabs.foot[open_], slabs.number[open_], slabs.stack
     away, fixed = bounds.corners[open_] - foot, np.where(np.isin(number, (0, len(stack.slices))), UNKNOWN, np.nan)
     found = Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack))
-    outer = bounds.corners if bounds.tighter is None else bounds.tighter.corners
+    outer = found.foot + away if bounds.tighter is None else bounds.tighter.corners
     return _below_facets(found, cloud, stack, outer) if has_edges else found
 
 
