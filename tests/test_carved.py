@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from rings import cassini, recording_of
 from scipy.spatial import cKDTree
+from shapes import letter_l
 
 import scan3d
 from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of, spacing_of
 from scan3d.errors import InputError
+from scan3d.geometry.distance import Search
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces.carved import carved
@@ -51,6 +53,14 @@ def test_surface_of_a_convex_body_is_a_hull_without_folds():
     assert found.surface.volume == pytest.approx(hull(found.surface.vertices).volume, rel=1e-4)
     one, other = (patch["area"] for patch in found.coverage["unknown"])  # a disc at either end
     assert one == pytest.approx(other, rel=0.01)
+
+
+def test_no_contact_lies_deep_in_the_body():
+    """Not even in the corner of an L, which only tips reach."""
+    recording = scan3d.simulate(letter_l(), scan3d.Plan(slices=6, samples=24, friction=0.3))
+    cloud = scan3d.reconstruct(recording)
+    faces = carved(recording, cloud).surface.triangles
+    assert Search(np.asarray(faces)).nearest(cloud.points)[0].max() < spacing_of(cloud) / 3
 
 
 def test_vertices_that_are_known_lie_within_the_spacing_of_a_contact():

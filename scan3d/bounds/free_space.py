@@ -329,14 +329,19 @@ def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
 def contradicted(sheets: list[Sheets], cloud: Cloud) -> Mask:
     """Contacts (n,) that lie in the free space of their own slice, which no contact does."""
     wrong = np.zeros(len(cloud), dtype=bool)
-    around = np.indices((2 * _DEEPER + 1,) * 2).reshape(2, -1) - _DEEPER
-    around = around[:, np.hypot(*around) <= _DEEPER + 0.5]
+    disc = np.hypot(*(np.indices((2 * _DEEPER + 1,) * 2) - _DEEPER)) <= _DEEPER + 0.5
     for sheet in sheets:
-        rows, (number, y, x) = _cells(sheet, cloud)
-        wrong[rows] = np.pad(sheet.free, ((0, 0), (_DEEPER,) * 2, (_DEEPER,) * 2), constant_values=True)[
-            number[:, None], y[:, None] + around[0] + _DEEPER, x[:, None] + around[1] + _DEEPER
-        ].all(axis=1)
+        rows, cells = _cells(sheet, cloud)
+        wrong[rows] = ndimage.binary_erosion(sheet.free, disc[None], border_value=1)[tuple(cells)]
     return wrong
+
+
+def joined(cells: Mask, seeds: Mask, neighbours: Mask) -> Mask:
+    """The connected parts of some cells that have a seed."""
+    label, count = ndimage.label(cells, structure=neighbours)
+    chosen = np.zeros(count + 1, dtype=bool)
+    chosen[label[seeds & cells]] = True
+    return chosen[label]
 
 
 def _cells(sheet: Sheets, cloud: Cloud) -> tuple[Index, Index]:
@@ -355,13 +360,9 @@ def outer_contours(sheets: list[Sheets], cloud: Cloud) -> Contours:
 
 def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
     rows, index = _cells(sheet, cloud)
-    label, count = ndimage.label(sheet.solid, structure=_IN_PLANE)
-    touched = np.zeros(count + 1, dtype=bool)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            touched[label[index[0], index[1] + dy, index[2] + dx]] = True
-    touched[0] = False
-    kept = touched[label]
+    touched = np.zeros(sheet.solid.shape, dtype=bool)
+    touched[tuple(index)] = True
+    kept = joined(sheet.solid, ndimage.binary_dilation(touched, np.ones((1, 3, 3))), _IN_PLANE)
     inner = ndimage.binary_erosion(kept, _IN_PLANE)
     number, y, x = np.nonzero(kept & ~inner)
     flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)

@@ -28,7 +28,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index, Mask
-from scan3d.bounds.free_space import Sheets, contradicted, place_errors, sheets_of
+from scan3d.bounds.free_space import Sheets, contradicted, joined, place_errors, sheets_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.recording import Recording
@@ -89,8 +89,8 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     nearest = cKDTree(contacts).query(grid.origin + grid.step * np.stack(touching, axis=1))[0]
     seeds = np.zeros(grid.shape, dtype=bool)
     seeds[touching] = nearest <= R + half + error
-    in_body = _joined(in_body, seeds)
-    in_air = _joined(to_contact >= R - half - error, grid.border())
+    in_body = joined(in_body, seeds, _EVERY_NEIGHBOUR)
+    in_air = joined(to_contact >= R - half - error, grid.border(), _EVERY_NEIGHBOUR)
     to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
     outer, inner = _below(to_body, level, grid), _below(-to_air, -level, grid)
     against = {
@@ -138,14 +138,6 @@ def _free_places(sheet: Sheets) -> Array:
     number, y, x = np.nonzero(sheet.free)
     flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
     return flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
-
-
-def _joined(cells: Mask, seeds: Mask) -> Mask:
-    """The connected parts of some cells that have a seed, diagonal neighbours included."""
-    label, count = ndimage.label(cells, structure=_EVERY_NEIGHBOUR)
-    chosen = np.zeros(count + 1, dtype=bool)
-    chosen[label[seeds & cells]] = True
-    return chosen[label]
 
 
 @dataclass(frozen=True)

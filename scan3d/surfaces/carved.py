@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import Delaunay, cKDTree
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, sheets_of, spacing_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import areas, kept_apart, without_unused
 from scan3d.recording import Recording
 
@@ -163,6 +164,11 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     body &= sizes[part] >= _SPLINTER * sizes.sum()
     if not body.any():
         raise InputError("the contacts span no body that the rods have left free; take more sweeps in a slice")
+    # contacts on flat parts may have slivers above them
+    faces = _border(body, joggled, corners, neighbours)[0]
+    deep = np.setdiff1d(np.flatnonzero(touched), np.append(faces, corners[~body]))
+    deep = deep[Search(points[faces]).nearest(points[deep])[0] > 2 * fine]
+    _uncover(body, deep, corners, neighbours, volume * np.abs(depth))
     for rounds in range(len(body)):
         faces, owner = _border(body, joggled, corners, neighbours)
         wrong = _shared(faces)
@@ -172,15 +178,33 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     return faces
 
 
-def _parts(chosen: Mask, neighbours: Index) -> Index:
-    """(t,) number of the connected part of each chosen tetrahedron; t for the others."""
-    count = len(chosen)
+def _uncover(body: Mask, deep: Index, corners: Index, neighbours: Index, cost: Array) -> None:
+    """Free the tetrahedra of least cost that lead from free space to each of the points that lie deep in the body."""
+    border = body & np.where(neighbours >= 0, ~body[neighbours], True).any(axis=1)
+    length, before, _ = dijkstra(
+        _links(body, neighbours, cost), indices=np.flatnonzero(border), return_predecessors=True, min_only=True
+    )
+    cell, column = np.nonzero(np.isin(corners, deep))
+    order = np.argsort(length[cell], kind="stable")
+    path = cell[order][np.unique(corners[cell, column][order], return_index=True)[1]]
+    while len(path):
+        body[path] = False
+        path = np.unique(before[path])
+        path = path[path >= 0]
+
+
+def _links(chosen: Mask, neighbours: Index, cost: Array) -> coo_array:
+    """The steps between chosen tetrahedra, at the cost of the one that is entered."""
     row, column = np.nonzero(neighbours >= 0)
     other = neighbours[row, column]
     both = chosen[row] & chosen[other]
-    links = coo_array((np.ones(int(both.sum()), dtype=bool), (row[both], other[both])), shape=(count, count))
-    part: Index = connected_components(links, directed=False)[1]
-    return np.where(chosen, part, count)
+    return coo_array((cost[other[both]], (row[both], other[both])), shape=(len(chosen),) * 2)
+
+
+def _parts(chosen: Mask, neighbours: Index) -> Index:
+    """(t,) number of the connected part of each chosen tetrahedron; t for the others."""
+    links = _links(chosen, neighbours, np.ones(len(chosen)))
+    return np.where(chosen, connected_components(links, directed=False)[1], len(chosen))
 
 
 def _border(body: Mask, points: Array, corners: Index, neighbours: Index) -> tuple[Index, Index]:
