@@ -180,7 +180,7 @@ def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("other", "seeds"), [(0.0, 3), (1.0, 1), pytest.param(0.0, 40, marks=pytest.mark.trust)])
+@pytest.mark.parametrize(("other", "seeds"), [(0.0, 1), (1.0, 1), pytest.param(0.0, 40, marks=pytest.mark.trust)])
 def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
     """One that hardly sags, so that its weight acts in its middle, beside `other` times its weight at the clamp."""
     truth, deviations = rigs.Truth(), []

@@ -158,6 +158,8 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return _fitted(cloud, lie_within(fit))
     if regressed is not None and regressed.judged == least:
         return _regression(cloud, bounds, lie_within(regressed))
+    if best not in of_whole()[0]:  # the slices that were kept have no contours between them, or all slices have none
+        return _without_cross_validation(cloud, bounds)
     mesh = of_whole()[0][best]()
     if cloud.model == "spatial":
         mesh = _inside(bounds, mesh)
