@@ -391,27 +391,27 @@ class _Sweeps:
         if rods.count[k] == MOST:
             return False
         piece, u, tip = near.piece[j : j + 1], near.u[j : j + 1], s > 1 - 1e-6
-        place = self.outlines.at(piece, u)
-        one = rods.rows(np.array([k]))
-        shape = shapes(self.outlines, one, np.array([[s]]))
-        phi, tau = float(shape.phi[0, 0]), float(place.tau[0])
+        shape = shapes(self.outlines, rods.rows(np.array([k])), np.array([[s]]))
+        phi, tau = float(shape.phi[0, 0]), float(self.outlines.at(piece, u).tau[0])
         tip = bool(tip and np.sin(tau - phi) <= 0 and not rods.tip[k].any())
-        side = float(np.copysign(1.0, np.cos(phi - tau)))
-        if not tip:
-            piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)
-            tau = float(self.outlines.at(piece, u).tau[0])
-        sign = 1.0
+        piece, u, side = self._laid(piece, u, phi, tip)
+        tau, sign = float(self.outlines.at(piece, u).tau[0]), 1.0
         if before is not None and rods.count[k]:
             old = shapes(self.outlines, before.rows(np.array([k])), np.array([[s]]))
             slip = (shape.x - old.x)[0, 0] * np.cos(tau) + (shape.y - old.y)[0, 0] * np.sin(tau)
             sign = -1.0 if slip > _ROUNDING else 1.0
-        force = 3 * -near.gap[j] / max(s, 0.05) ** 3 if not rods.count[k] else 0.0
+        force = 0.0
         if not rods.count[k]:
+            force = 3 * -near.gap[j] / max(s, 0.05) ** 3
             rods.kappa[k] = -side * force * s
-        if not tip:
-            s = min(s, 1 - 1e-6)
-        rods.add(k, force, s, int(piece[0]), float(u[0]), sign * zeta, side, tip)
+        rods.add(k, force, s if tip else min(s, 1 - 1e-6), int(piece[0]), float(u[0]), sign * zeta, side, tip)
         return True
+
+    def _laid(self, piece: Index, u: Array, phi: float, tip: bool) -> tuple[Index, Array, float]:
+        """The place (1,) next to a given one where a rod of slope phi touches, and the side of the rod that the body is on."""
+        tau = float(self.outlines.at(piece, u).tau[0])
+        side = float(np.copysign(1.0, np.cos(phi - tau)))
+        return (piece, u, side) if tip else (*self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi), side)
 
     def _tangential(self, piece: Index, u: Array, tau: float, phi: float) -> tuple[Index, Array]:
         """The place (1,) next to a given one where a rod of slope phi lies along the outline: an edge's end is its vertex."""
@@ -480,15 +480,9 @@ class _Sweeps:
             keep = np.delete(keep, np.argmin(settled.force))
         rods.kappa[0] = 2 * LINKS * (settled.angles[0] - np.pi / 2)
         for c in keep:
-            tip = bool(settled.tip[c])
-            if attempt == 1 and c == keep[-1]:
-                tip = not tip
-            piece, u = settled.piece[c : c + 1], settled.u[c : c + 1]
-            tau = float(self.outlines.at(piece, u).tau[0])
+            tip = bool(settled.tip[c]) ^ bool(attempt == 1 and c == keep[-1])
             phi = float(np.interp(settled.s[c] * LINKS - 0.5, np.arange(LINKS), settled.angles))
-            side = float(np.copysign(1.0, np.cos(phi - tau)))
-            if not tip:
-                piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)
+            piece, u, side = self._laid(settled.piece[c : c + 1], settled.u[c : c + 1], phi, tip)
             s = 1.0 if tip else min(float(settled.s[c]), 1 - 1e-3)
             rods.add(0, settled.force[c] / np.cos(zeta), s, int(piece[0]), float(u[0]), zeta, side, tip)
         return rods

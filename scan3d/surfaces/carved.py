@@ -54,9 +54,7 @@ class Carved:
     """The surface of a body of any shape, and what is known of it, in the cloud's unit."""
 
     surface: Any
-    """A closed `trimesh.Trimesh`, outward."""
-    known: NDArray[np.int8]
-    """(v,) class of each vertex: 2 known, 1 estimated, 0 unknown."""
+    """A closed `trimesh.Trimesh`, outward; ``vertex_attributes["known"]``: 2 known, 1 estimated, 0 unknown."""
     contours_bound: float
     """In the planes of the slices every point of the outer contours lies within it of the true contour (C16)."""
     apart: float
@@ -95,7 +93,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
     known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, apart)
     surface.vertex_attributes["known"] = known
-    return Carved(surface, known, float(contours.distance.max(initial=0.0)), apart, _coverage(surface, known))
+    return Carved(surface, float(contours.distance.max(initial=0.0)), apart, _coverage(surface, known))
 
 
 def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Array:
