@@ -140,10 +140,13 @@ class Outlines:
         self.samples = points
         self._tree = scipy.spatial.cKDTree(np.column_stack([points, _APART * self.body[self._piece]]))
         begins = np.flatnonzero(np.diff(self.body[self._piece], prepend=-1))
-        ends = self.at(self._piece, np.floor(self._u)).point  # vertices are among the extreme points
-        self.low, self.high = np.minimum.reduceat(ends, begins, axis=0), np.maximum.reduceat(ends, begins, axis=0)
-        self.low = np.minimum(self.low, np.minimum.reduceat(points, begins, axis=0))
-        self.high = np.maximum(self.high, np.maximum.reduceat(points, begins, axis=0))
+        both = np.stack(
+            [self.at(self._piece, np.floor(self._u)).point, points]
+        )  # vertices are among the extreme points
+        self.low, self.high = (
+            np.minimum.reduceat(both.min(axis=0), begins),
+            np.maximum.reduceat(both.max(axis=0), begins),
+        )
 
     def at(self, piece: Index, u: Array) -> Place:
         """The outline at parameters u (n,) of pieces (n,); lines go on straight past their ends, closed curves around."""

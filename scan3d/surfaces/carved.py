@@ -120,10 +120,7 @@ def _flat(sheets: list[Sheets], spacing: float) -> Array:
         place = sheet.origin + sheet.cell * every * np.stack([x, y], axis=1)
         found.append(place @ sheet.frame[:2] + height[:, None] * sheet.frame[2])
     points = np.concatenate(found)
-    on_border = (
-        np.abs(_depth(points, sheets)) <= max(sheet.cell for sheet in sheets) if len(points) else np.zeros(0, bool)
-    )
-    return np.asarray(points[on_border])
+    return points[np.abs(_depth(points, sheets)) <= max(sheet.cell for sheet in sheets)] if len(points) else points
 
 
 def _depth(points: Array, sheets: list[Sheets]) -> Array:
