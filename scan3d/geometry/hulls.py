@@ -262,7 +262,11 @@ def clipped(vertices: Array, planes: Array) -> Array:
     # planes that pass the middle by show a hull that lies outside of them for the most part
     if not len(cutting) or (cutting[:, :3] @ middle > cutting[:, 3] - NEGLIGIBLE * size).any():
         return vertices
-    equations = ConvexHull(vertices).equations
+    try:
+        equations = ConvexHull(vertices).equations
+    except QhullError:  # between points that coincide up to rounding
+        apart = np.unique(representatives(vertices, NEGLIGIBLE * size))
+        equations = ConvexHull(vertices[apart], qhull_options="Qt Q12").equations
     return _vertices(np.concatenate([equations * [1, 1, 1, -1], cutting]), middle)
 
 

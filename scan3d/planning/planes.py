@@ -20,8 +20,8 @@ from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import Further
 from scan3d.reconstruction.facets import POLYHEDRON, polyhedron
 
-FIRST_PART = 3 / 8
-"""Part of the slices that go along one axis, by which a body proves a polyhedron."""
+FIRST_PART, FEW = 3 / 8, 64
+"""Part of the slices, of so many at most, that go along one axis first, by which a body proves a polyhedron."""
 # Part of the contacts that lie on known facets at least, by the first slices, and by how much it rises with every round, up to
 # that of a polyhedron: those of 200 vertices have 0.87, 0.92 and 1, a scanned aeroplane of slivers 0.87 to 0.9 in all rounds.
 _START, _RISE = 0.8, 0.075

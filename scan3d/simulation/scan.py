@@ -39,7 +39,7 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
-from scan3d.planning.planes import FIRST_PART, Aims
+from scan3d.planning.planes import FEW, FIRST_PART, Aims
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import contacts
@@ -248,7 +248,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
     if plan.axis == "free":
         next_ones = Aims().next_slices
         scanned(scans[0], first_heights(*scans[0].extent, plan))
-        _adapt(scans[0], rod, report, until=round(FIRST_PART * plan.slices))
+        _adapt(scans[0], rod, report, until=round(FIRST_PART * min(plan.slices, FEW)))
     else:
         for scan in scans:
             scanned(scan, first_heights_together(*scan.extent, plan))
