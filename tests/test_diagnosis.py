@@ -72,7 +72,7 @@ def read_as_simple(noise=0.0, seed=0, name="egg.stl", slices=8, **rod):
     return replace(scan3d.simulate(scan3d.load_mesh(MESHES / name), plan), rod=simple)
 
 
-def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6):
+def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6, upright=90.0):
     """A scan in the planes of gravity of an ellipsoid, with a rod of a weight in EI/L², that is read as weightless."""
     rod, rng = Rod.wire(0.05, 0.0003, 210e9), np.random.default_rng(seed)
     columns = []
@@ -96,8 +96,8 @@ def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6):
     sweep, place, turns, reactions = (np.concatenate(column) for column in zip(*columns, strict=True))
     reactions += noise * rng.standard_normal(reactions.shape)
     force, moment = reactions[:, :2] * rod.force_unit_N, reactions[:, 2] * rod.moment_unit_Nm
-    # the world's z axis is that of the slices, and gravity lies along -y
-    upright = Rotation.from_euler("x", 90, degrees=True)
+    # unless the world is turned, its z axis is that of the slices, and gravity lies along -y
+    upright = Rotation.from_euler("x", upright, degrees=True)
     turns = (upright * Rotation.from_quat(turns, scalar_first=True)).as_quat(scalar_first=True)
     stated = dict(noise_force_N=noise * rod.force_unit_N, noise_moment_Nm=noise * rod.moment_unit_Nm)
     return Recording(sweep, upright.apply(place) * rod.length_m, turns, force, moment, rod, **stated)
@@ -308,6 +308,15 @@ def test_the_weight_of_a_rod_is_named(weight, tared, noise):
     assert found.fault == "weight", found
     assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.2 if noise else 1e-3)
     assert f"tared = {str(tared).lower()}" in found.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [0.02, trusted(0.1)])
+def test_gravity_is_where_a_sensor_that_was_not_tared_shows_it(weight):
+    recording = heavy(weight, False, 1e-4, upright=0.0)
+    found = checked(recording, scan3d.reconstruct(recording)).diagnosis
+    assert found.fault == "weight", found
+    assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.1)
 
 
 @pytest.mark.slow

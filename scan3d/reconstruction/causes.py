@@ -66,7 +66,7 @@ _DISTANCES = np.geomspace(0.03, 0.5, 4)
 # radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
 _TIPS, _CURVATURES = np.log([[0.5], [0.7], [0.95]]), np.array([0.02, 0.3])
 _TENTH, _SMALL, _LEAST_WEIGHT = 0.1, np.log([[0.1], [1.0]]), 1e-4
-_LARGEST_LOG, _WAYS, _DOWN = 9.0, np.array([0.003, 0.03]), np.array([0.0, 0.0, -1.0])
+_LARGEST_LOG, _WAYS = 9.0, np.array([0.003, 0.03])
 _ABOUT_ROD, _ALONG_ROD = np.radians(np.arange(-180, 180, 30)), np.linspace(-0.5, 0.5, 5)
 
 
@@ -152,9 +152,10 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
     turned[:, :3, :3] = turned[:, 3:, 3:] = recording.axes()
     text = 'force and moment have their components in the frame of the poses: state wrench_in = "world" in the map'
     found.append(known(Undone(turned), _named("wrench-in-world", None, "", text)))
-    found += _zeros(recording, spatial, wrench)
+    hanging = hanging_weight(recording, wrench)
+    found += _zeros(recording, spatial, wrench, hanging)
     found.append(_late(recording))
-    found += _rods(recording, spatial, wrench) if rod.is_simple else []
+    found += _rods(recording, spatial, wrench, hanging) if rod.is_simple else []
     for code, (scaled, text) in _GAINS.items():
         if spatial or len(scaled) > 1 or scaled[0] in (0, 1):  # in a plane mz is the only moment
             found.append(_gain(code, np.isin(np.arange(6), scaled), text))
@@ -190,7 +191,19 @@ def stuck_rows(stuck: Index, wrench: Array) -> Cause:
     return known(Undone(zero=zero), _named("stick", float(len(stuck)), "rows", text))
 
 
-def _zeros(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
+def hanging_weight(recording: Recording, wrench: Array) -> Array | None:
+    """(3,) the weight that the sensor shows at the starts of the sweeps, a vector in the world that turns in the clamp's frame;
+    None if it shows none."""
+    first = np.unique(recording.sweep, return_index=True)[1]
+    shown = wrench[first, :3]
+    world = -np.einsum("ni,nij->nj", shown, recording.axes()[first])
+    middles = np.median([shown, world], axis=1)  # some sweeps begin at the body
+    in_clamp, in_world = np.median(np.linalg.norm([shown, world] - middles[:, None], axis=2), axis=1)
+    felt = np.linalg.norm(middles[1]) > max(2 * recording.noise.of_reactions(recording.rod)[0], _LEAST_WEIGHT)
+    return middles[1] if felt and in_world < in_clamp / 4 else None
+
+
+def _zeros(recording: Recording, spatial: bool, wrench: Array, hanging: Array | None) -> list[Cause]:
     """What the sensor shows at the starts of the sweeps, before the rod touches, and that it is not zero."""
     _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
     start = wrench[first]
@@ -213,6 +226,10 @@ def _zeros(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
         f"the zero of force and moment drifts from sweep to sweep, in all by {text}, or a weight turns with the clamp: let "
         "each sweep begin in the air, and let the import take off the drift ([tare])",
     )
+    if hanging is not None:
+        size = float(np.linalg.norm(hanging)) * recording.rod.force_unit_N
+        text = f"a weight of {force(size)} hangs at the sensor and turns with the clamp: let each sweep begin in the air, and "
+        drifts = _named("weight", size, "N", text + "let the import take it off ([tare])")
     each = start[sweep.reshape(-1)]
     return [known(Undone(zero=zero), untared), *(known(Undone(zero=zero), drifts, 2) for zero in (steady, each))]
 
@@ -255,11 +272,13 @@ def _late(recording: Recording) -> Cause:
     return Cause(starts, lambda n: Undone(late=float(n[0])), named, 1)
 
 
-def _rods(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
+def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | None) -> list[Cause]:
     """Rods that are not straight, uniform and weightless in a rigid clamp, as the stated one is."""
     rod, count = recording.rod, 2 if spatial else 1
     thick = rod if rod.diameter_m else replace(rod, diameter_m=rod.length_m / 100)  # any diameter at the clamp will do
-    down = recording.axes() @ (_DOWN if recording.gravity is None else recording.gravity.direction)
+    assert recording.gravity is not None
+    gravity = np.array(recording.gravity.direction)
+    down = recording.axes() @ gravity
     directions, which = np.unique(down.round(9), axis=0, return_inverse=True)
 
     def curvature(n: Array) -> tuple[float, float, float]:
@@ -291,9 +310,10 @@ def _rods(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
 
     def of_weight(n: Array, tared: bool) -> Diagnosis:
         text = (
-            f"its weight of {force(weight(n))} bends the rod: weigh it, and state weight_N, and [gravity] with tared = "
+            f"its weight of {force(weight(n))} bends the rod: weigh it, and state weight_N, and [gravity] with direction = "
+            f"{_list(gravity.round(3))} and tared = {str(tared).lower()}"
         )
-        return _named("weight", weight(n), "N", text + str(tared).lower())
+        return _named("weight", weight(n), "N", text)
 
     def of_taper(n: Array) -> Diagnosis:
         text = f"the rod tapers to {tip(n):.3g} of its diameter: measure it at the tip, and state tip_diameter_m"
@@ -321,7 +341,10 @@ def _rods(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
     # what a sensor shows in the air that was not tared is the weight
     in_air = float(np.median(np.linalg.norm(wrench[np.unique(recording.sweep, return_index=True)[1], :3], axis=1)))
     shown = in_air > max(2 * recording.noise.of_reactions(rod)[0], _LEAST_WEIGHT)
-    if spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
+    if hanging is not None:
+        number = np.log([np.linalg.norm(hanging) / _TENTH])
+        found.append(known(heavy(number, tared=False), of_weight(number, tared=False), 1))
+    elif spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
         for tared in (True, False) if shown else (True,):
             undone, named = partial(heavy, tared=tared), partial(of_weight, tared=tared)
             starts = _SMALL if tared else np.vstack([_SMALL, np.log(in_air / _TENTH)])

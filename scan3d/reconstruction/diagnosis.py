@@ -17,7 +17,7 @@ import planar
 from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
-from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
+from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, hanging_weight, known, stuck_rows
 from scan3d.reconstruction.errors import (
     DISTURBED,
     Errors,
@@ -32,7 +32,7 @@ from scan3d.reconstruction.errors import (
 )
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
-from scan3d.rods import Rod
+from scan3d.rods import Gravity, Rod
 from scan3d.spatial import inverse
 from scan3d.units import number, share
 
@@ -82,6 +82,10 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         text = f"it rests on {recording.completed.words}: check that, the rod, and signs, units and tare of what was measured"
         return _UNKNOWN._replace(message=text)
     wrench = np.hstack(recording.reactions(six_axis=model == "spatial"))
+    if recording.gravity is None:
+        hanging = hanging_weight(recording, wrench)
+        down = (0.0, 0.0, -1.0) if hanging is None else tuple(hanging)
+        recording = replace(recording, gravity=Gravity(down, tared=False))
     noise = recording.noise.of_reactions(recording.rod)
     stuck = _stuck_rows(recording, wrench, noise)
     sample, few = (_sample(recording, model, wrench, noise, stuck, parts) for parts in (1, 2))
@@ -323,6 +327,7 @@ def _sample(
     recording: Recording, model: str, wrench: Array, noise: tuple[float, float], kept: Index, parts: int
 ) -> _Sample:
     """Evenly chosen rows in contact, and those that are `kept`; a fraction 1 / parts of the usual number."""
+    assert recording.gravity is not None
     axes, pressed = recording.axes(), _felt(recording.pressing(model == "spatial"), noise)
 
     def chosen(rows: Index, count: int, kept: Index) -> Index:
@@ -348,7 +353,7 @@ def _sample(
         noise=noise,
         rod=recording.rod,
         pull=(recording.pressing(model == "spatial") - wrench[:, :3])[rows],
-        down=axes[rows] @ (np.array([0.0, 0.0, -1.0]) if recording.gravity is None else recording.gravity.direction),
+        down=axes[rows] @ recording.gravity.direction,
     )
 
 
