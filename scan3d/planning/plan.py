@@ -137,6 +137,11 @@ class Plan:
                 )
 
     @property
+    def is_free(self) -> bool:
+        """Whether slices may lie in any plane."""
+        return isinstance(self.axis, str) and self.axis == "free"
+
+    @property
     def friction_range(self) -> tuple[float, float]:
         """Lowest and highest coefficient of friction."""
         ends: list[Any] = [self.friction] * 2 if np.ndim(self.friction) == 0 else list(self.friction)  # type: ignore[arg-type]
@@ -153,7 +158,7 @@ class Plan:
 
     def axes(self) -> Array:
         """Unit normals (k, 3) of the slices."""
-        letters = "z" if self.axis == "free" else self.axis if isinstance(self.axis, str) else ""
+        letters = "z" if self.is_free else self.axis if isinstance(self.axis, str) else ""
         try:
             given: list[Any] = [_AXES[letter] for letter in letters]
             vectors = np.array(given or [self.axis], dtype=float)

@@ -88,10 +88,14 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan, progress)
+    if plan.is_free and plan.spacing != "adaptive":
+        raise InputError(
+            f"with axis free, adaptive spacing chooses the planes, got spacing {plan.spacing!r}; leave one of them out"
+        )
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     widest = max(width_of(mesh, frame) for frame in frames)
-    rod = plan.rod or Rod.of_length(metres * (float(np.linalg.norm(mesh.extents)) if plan.axis == "free" else widest))
+    rod = plan.rod or Rod.of_length(metres * (float(np.linalg.norm(mesh.extents)) if plan.is_free else widest))
     convex = is_convex(mesh)
     if not convex and not rod.without_thickness().is_simple:
         raise InputError(
@@ -106,7 +110,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
     # more slices along each axis are planned for one axis after the other
     few = len(scans) > 1 and (not plan.tolerance or plan.slices <= 28)
-    if plan.spacing == "adaptive" and not plan.noise and (few or plan.axis == "free"):
+    if plan.spacing == "adaptive" and not plan.noise and (few or plan.is_free):
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
@@ -245,7 +249,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
         _check_sweeps(scan, plan.samples)
         report(0)
 
-    if plan.axis == "free":
+    if plan.is_free:
         next_ones = Aims().next_slices
         scanned(scans[0], first_heights(*scans[0].extent, plan))
         _adapt(scans[0], rod, report, until=round(FIRST_PART * min(plan.slices, FEW)))
