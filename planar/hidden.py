@@ -239,6 +239,8 @@ def recover_at_tip(
     Both slip with the coefficient `friction`, one number or (n,), as the sweep does.  The first force is the one of its
     direction ``τ_A + ζ`` for which the moment first vanishes at the tip.
     """
+    from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
+
     base, across, along, moment = checked_reactions(x0, f0x, f0y, m0z)
     s_a, zeta = (np.broadcast_to(v, base.shape) for v in (np.asarray(first, dtype=float), np.arctan(friction)))
     up = np.full(base.shape, np.pi / 2)
@@ -255,7 +257,7 @@ def recover_at_tip(
     first_change = np.argmax(below[:, :-1] != below[:, 1:], axis=1)
     bracket = tried[np.arange(len(base)), first_change], tried[np.arange(len(base)), first_change + 1]
     # NaN for rods without a change
-    force = scipy.optimize.elementwise.find_root(bends, bracket, args=rods).x
+    force = elementwise.find_root(bends, bracket, args=rods).x
     fx, fy = -across - force * pushed[0], -along - force * pushed[1]
     tip = piece(fx, fy, to_a.phi, to_a.kappa, 1 - s_a)
     point = np.stack([base + to_a.x + tip.x, to_a.y + tip.y], axis=1)

@@ -1,5 +1,8 @@
 """What reveals a second contact, where it is at the tip, and what the rods of a sweep prove to be free."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from shapes import polar
@@ -96,6 +99,15 @@ def test_the_second_contact_at_the_tip_is_recovered(name):
     assert found.force[0] == pytest.approx(second[1], abs=1e-9)
     assert found.first_force[0] == pytest.approx(first[1], abs=1e-9)
     assert found.slope[0] == pytest.approx(np.radians(second[3]), abs=1e-9)
+
+
+def test_the_second_contact_is_recovered_where_nothing_was_swept_before():
+    """Of a measured log no sweep is simulated, which would import what the recovery needs."""
+    x0, (f0x, f0y, m0z), friction, (first, second) = rows_of("peanut")
+    call = f"recover_at_tip({x0}, {f0x}, {f0y}, {m0z}, first={first[0]}, friction={friction})"
+    code = f"from numpy import array\nfrom planar.hidden import recover_at_tip\nprint({call}.force[0])"
+    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert float(said) == pytest.approx(second[1], abs=1e-9)
 
 
 @pytest.mark.slow
