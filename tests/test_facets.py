@@ -171,6 +171,7 @@ def test_planes_of_bodies_without_facets_lie_along_the_axis():
 
 
 def test_free_planes_are_chosen_by_adaptive_spacing():
-    with pytest.raises(InputError, match="adaptive spacing chooses the planes, got spacing 'uniform'"):
-        scan3d.simulate(trimesh.creation.box(), scan3d.Plan(axis="free", spacing="uniform"))
+    for setting in (dict(axis="free"), dict(tolerance=1e-3)):
+        with pytest.raises(InputError, match="needs adaptive spacing, got spacing 'uniform'"):
+            scan3d.simulate(trimesh.creation.box(), scan3d.Plan(spacing="uniform", **setting))
     assert not scan3d.Plan(axis=np.array([0, 0, 1.0])).is_free

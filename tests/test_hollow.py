@@ -237,6 +237,7 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
         scan3d.surface(result.cloud)
     for plan in (
         scan3d.Plan(model="spatial"),
+        scan3d.Plan(tolerance=1e-3),
         scan3d.Plan(rod=scan3d.Rod(2.0, 1e-4, tip_diameter_m=1e-4, diameter_m=2e-4)),
     ):
         with pytest.raises(scan3d.InputError, match="not convex"):

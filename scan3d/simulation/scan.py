@@ -88,10 +88,9 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan, progress)
-    if plan.is_free and plan.spacing != "adaptive":
-        raise InputError(
-            f"with axis free, adaptive spacing chooses the planes, got spacing {plan.spacing!r}; leave one of them out"
-        )
+    for setting, given in (("axis free", plan.is_free), ("a tolerance", plan.tolerance)):
+        if given and plan.spacing != "adaptive":
+            raise InputError(f"{setting} needs adaptive spacing, got spacing {plan.spacing!r}; leave one of them out")
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     widest = max(width_of(mesh, frame) for frame in frames)
@@ -101,6 +100,11 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         raise InputError(
             "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose such a "
             "rod, or scan the convex hull with --hull"
+        )
+    if not convex and plan.tolerance:
+        raise InputError(
+            "a tolerance is met by the certified bound between slices, which a body that is not convex does not have; leave "
+            "the tolerance out, or scan the convex hull with --hull"
         )
     if not convex and plan.spacing == "adaptive":  # which asks for bounds between slices, as convex bodies have
         plan = replace(plan, spacing="uniform")
