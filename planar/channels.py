@@ -30,9 +30,6 @@ from planar.march import solve
 from planar.rods import Rod
 from planar.uncertainty import jacobian
 
-# Values of the missing channel between which a root is sought, denser near zero, in EI/L² or EI/L; the largest of them bends a
-# rod by more than a right angle, however it is held.
-_TRIED = np.sinh(np.linspace(0.05, 7.0, 71)) / 10
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8
 
@@ -118,7 +115,10 @@ def complete(
         return lambda value, a, b, known: np.asarray(found(value, a, b)[which] - known)
 
     # a moment that is not positive is that of a rod bent against the sweep
-    tried = _TRIED if missing == 2 else np.concatenate([-_TRIED[::-1], _TRIED])
+    # denser near zero, in EI/L² or EI/L; the largest bends a rod by more than a right angle, however it is held
+    tried = np.sinh(np.linspace(0.05, 7.0, 71)) / 10
+    if missing != 2:
+        tried = np.concatenate([-tried[::-1], tried])
     at_tip = np.ones(count)
     if slope is not None or tip:
         candidates = _roots(missed(0 if tip else 2), tried, a, b, at_tip if tip else angle)
@@ -192,10 +192,6 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
 
 # Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
 _FOLLOWED, _STEPS = 1e-11, 20
-# Slope of the rod at the contact, in radians, up to which a row is one of the begin: from there on pushes tell wrong places.
-_BENT = 0.2
-# Arc length from which on the contact may be one of the tip, which pushes by large steps place up to 0.05 before it.
-_NEAR_TIP = 0.95
 
 
 class Frames(NamedTuple):
@@ -448,7 +444,9 @@ def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | Non
     sd = float(np.linalg.norm([(far - near) / 2, s1 - part, s1 * bent[1] ** 2 / 4]))
     # the contact moves on during the push: a part of it tells where it began
     start = float(2 * part - s1)
-    return (start, sd) if 0 < start < _NEAR_TIP - 3 * sd and bent[0] < _BENT else (np.nan, np.nan)
+    # from a slope of 0.2 rad at the contact on pushes tell wrong places, and by large steps they place a contact of the
+    # tip up to 0.05 before it
+    return (start, sd) if 0 < start < 0.95 - 3 * sd and bent[0] < 0.2 else (np.nan, np.nan)
 
 
 def follow_pushes(

@@ -237,8 +237,6 @@ def unbowed_height(alpha: Array) -> Array:
 
 # Force, and inverse modulus, below which (C5) and (C4) lose more digits to cancellation than Gauss's rule has errors.
 _WEAK, _FAST = 1e-3, 0.02
-# Modulus at which the means are one, and the least square of the complementary one.
-_SMALL, _SINGULAR = 1e-8, 1e-40
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -319,9 +317,9 @@ def _advanced(start: Array, m: Array, by: Array) -> tuple[Array, Array]:
     new = (np.diff(start, prepend=np.nan) != 0) | (np.diff(m, prepend=np.nan) != 0)
     of, phi = np.cumsum(new) - 1, start[new]
     a, c = np.ones_like(phi), np.sqrt(m[new])
-    b = np.sqrt(np.maximum(1 - m[new], _SINGULAR))
+    b = np.sqrt(np.maximum(1 - m[new], 1e-40))
     zeta, share, levels = np.zeros_like(phi), c * c / 2, list[tuple[Array, Array, Array]]()
-    while (c > _SMALL).any():
+    while (c > 1e-8).any():
         phi = phi + np.arctan(b / a * np.tan(phi)) + np.pi * np.round(phi / np.pi)
         a, b, c = (a + b) / 2, np.sqrt(a * b), c * c / (2 * (a + b))
         levels.append((a, b, c))

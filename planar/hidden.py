@@ -41,15 +41,10 @@ from planar.uncertainty import Errors
 # Friction angle, in radians, that rounding may change (of 6,000 exact contacts it changed none by 1e-13), the one up to which
 # contacts agree on theirs, standard deviations of a test on noisy contacts.
 _EXACT, _AGREES, _DEVIATIONS = 1e-11, 1e-6, 5.0
-# Share of the turn from one slope to the next by which the chord may differ from their mean, and what is added for pieces of
-# other curvature, in radians: with exact contacts of four bodies no single contact of 15,489 was beyond.
-_SHARE, _ADDED = 0.6, 2e-3
 # Chord, in rod lengths, below which a contact has not moved.
 _SAME_PLACE = 1e-6
 # Distance, in rod lengths, up to which exact contacts are at one corner, and steps of Newton's iteration to it along the rod.
 _SAME_CORNER, _FOOT_STEPS = 1e-9, 3
-# Forces at the first contact that are tried, over the whole one.
-_TRIED, _LARGEST = 200, 4.0
 
 
 def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) -> float:
@@ -119,7 +114,9 @@ def _off_path(x0: Array, contacts: Contacts, tangential: Mask, errors: Errors | 
 
     def steps(rows: int, share: float) -> tuple[Mask, Array, Array, Array]:
         length, turn, angle = _steps(contacts.point, contacts.slope, rows)
-        allowed = share * np.abs(turn) + _ADDED
+        # with exact contacts of four bodies no single contact of 15,489 was beyond 0.6 of the turn and 2 mrad, for
+        # pieces of other curvature
+        allowed = share * np.abs(turn) + 2e-3
         if errors is not None:  # of the two ends, each by its place across the line and its slope, at worst together
             slope = (contacts.slope[rows:] + contacts.slope[:-rows]) / 2
             normal = np.stack([-np.sin(slope), np.cos(slope)], axis=1)
@@ -130,7 +127,7 @@ def _off_path(x0: Array, contacts: Contacts, tangential: Mask, errors: Errors | 
             allowed = allowed + _DEVIATIONS * np.hypot(*ends)
         return tangential[rows:] & tangential[:-rows], length, angle, allowed
 
-    both, length, angle, allowed = steps(1, _SHARE)
+    both, length, angle, allowed = steps(1, 0.6)
     off = np.where(both & (length > _SAME_PLACE) & (angle > allowed), angle, 0.0)
     wrong = (off > 0) & (length < SNAPPED * np.abs(np.diff(x0)))
     found = np.zeros(len(contacts), dtype=bool)
@@ -252,7 +249,8 @@ def recover_at_tip(
         return piece(-across - force * px, -along - force * py, *start).kappa
 
     rods = across, along, *pushed, to_a.phi, to_a.kappa, 1 - s_a
-    tried = np.linspace(0, _LARGEST, _TRIED) * np.hypot(across, along)[:, None]
+    # forces at the first contact, over the whole one
+    tried = np.linspace(0, 4.0, 200) * np.hypot(across, along)[:, None]
     below = bends(tried, *(column[:, None] for column in rods)) < 0
     first_change = np.argmax(below[:, :-1] != below[:, 1:], axis=1)
     bracket = tried[np.arange(len(base)), first_change], tried[np.arange(len(base)), first_change + 1]

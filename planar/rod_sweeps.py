@@ -23,12 +23,10 @@ from planar.segments import LEVELS
 _COARSE, _FINE, _MOST_STEPS = 4, 8, 128
 # Change of a state by twice the steps, in rod lengths and radians, at which they suffice.
 _AGREED = 1e-10
-# Tables that are made at once.
-_TABLES = 100
 # Residual, in rod lengths and radians, at which an equilibrium is found.
 _SOLVED = 1e-11
-# Iterations; one in three computes the derivatives anew.
-_ITERATIONS, _ANEW = 24, 3
+# Iterations, of which one in three computes the derivatives anew.
+_ITERATIONS = 24
 
 
 class Course(NamedTuple):
@@ -124,7 +122,7 @@ def _newton(residuals: Callable[[Array, Index], Array], start: Array, scale: Arr
         if not len(rows):
             break
         here = z[:, rows]
-        if iteration % _ANEW == 0:
+        if iteration % 3 == 0:
             for k in range(len(z)):
                 moved = here.copy()
                 moved[k] += 1e-7
@@ -394,7 +392,8 @@ def states(rod: Rod, tables: Tables, course: Course, x0: Array) -> Equilibria:
     result.put(rows, _solved(rod, course.rows(rows), start.rows(rows), x0[rows]))
     # samples in different states at the two angles are sought in tables of their own
     rows = np.flatnonzero((low[1] | high[1]) & ~np.isfinite(result.x0) & (count > 1))
-    for some in np.array_split(rows, -(-len(rows) // _TABLES)) if len(rows) else []:
+    # a hundred tables at once, for memory
+    for some in np.array_split(rows, -(-len(rows) // 100)) if len(rows) else []:
         start, touches = _located(table(rod, course.rows(some)), np.arange(len(some)), x0[some])
         inside = some[touches]
         result.put(inside, _solved(rod, course.rows(inside), start.rows(touches), x0[inside]))

@@ -18,10 +18,6 @@ from planar.contours import Path
 from planar.elastica import bend_with_slopes
 
 _EPS = float(np.finfo(float).eps)
-# Parabolas through the overhang, and by how much each is narrower than the one before: an inexact minimum would overlook
-# short tangential contacts.
-_PARABOLAS = 4
-_NARROWING = 8
 
 
 LEVELS = 3
@@ -127,10 +123,12 @@ def _cut_at_short_tangencies(path: Path, segments: Segments, tangential_at_end: 
 
     # the minimum of the overhang, from parabolas through three points about the previous estimate
     t, width = np.full(len(rows), 0.5), 0.5
-    for _ in range(_PARABOLAS):
+    # parabolas through the overhang, each narrower than the one before: an inexact minimum would overlook short
+    # tangential contacts
+    for _ in range(4):
         before, here, after = overhang(t - width), overhang(t), overhang(t + width)
         step = ratio(before - after, before + after - 2 * here) / 2
-        t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / _NARROWING
+        t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / 8
         t = np.clip(t, width, 1 - width)
     touches = overhang(t) < 0
     rows, t, piece, zeta = rows[touches], t[touches], piece[touches], zeta[touches]

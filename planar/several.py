@@ -32,9 +32,6 @@ from planar.loops import Nearest, Outlines, Place
 
 # Contacts of one rod, at most: with more it is reported as not resolved.
 MOST = 3
-# Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
-_SOLVED, _ROUNDED = 1e-13, 1e-11
-_ITERATIONS = 16
 # Distance from a piece's middle, in lengths of it, from which on a contact is looked for on the next one, and the residual
 # from which on it is if it is beyond the end at all.
 _BEYOND, _NEAR = 1.5, 1e-4
@@ -164,7 +161,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
     z = np.concatenate([rods.kappa[:, None], rods.force, rods.s, np.where(rods.sticks, rods.zeta, rods.u)], axis=1)
     found, best = np.zeros(m, dtype=bool), np.full(m, np.inf)
     rows = np.arange(m)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(16):
         part, here = rods.rows(rows), z[rows]
         step = 1e-7 * np.maximum(1.0, np.abs(here))
         varied = np.repeat(here[:, None], d + 1, axis=1)
@@ -182,7 +179,8 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
             rods.piece[rows] = np.where(passes, moved.reshape(-1, k), part.piece)
             z[rows, 1 + 2 * k :] = np.where(passes, start.reshape(-1, k), here[:, 1 + 2 * k :])
         stalls = size > 0.5 * best[rows]
-        done = ~leaves & ((size < _SOLVED) | ((size < _ROUNDED) & stalls))
+        # residuals in rod lengths and radians; rounding may leave the larger one
+        done = ~leaves & ((size < 1e-13) | ((size < 1e-11) & stalls))
         found[rows[done]] = True
         best[rows] = np.where(leaves, np.inf, np.fmin(size, best[rows]))
         # after some iterations one that does not halve the residual is the last
@@ -248,8 +246,6 @@ _PER_LINK = 3
 # Damping of a step and its largest turn of a link, in radians.
 _DAMPING, _TURN = 0.35, 0.03
 _STEPS, _PATIENCE = 600, 150
-# Share of a corner's turn from either side's normal at which the other side holds the tip as well.
-_BOTH_SIDES = 1e-6
 # Gap, in rod lengths, from which on a point does not take part in a step.
 _CLEAR = 0.05
 
@@ -325,7 +321,7 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
     for k, tau in zip(corner[::2], place_of.tau[::2], strict=True):
         turned = np.arctan2(pushed[0], -pushed[1]) - tau
         share = (np.remainder(turned + np.pi, 2 * np.pi) - np.pi) / outlines.turn[k]
-        if pushed.any() and _BOTH_SIDES < share < 1 - _BOTH_SIDES:  # held by both sides, it is wedged
+        if pushed.any() and 1e-6 < share < 1 - 1e-6:  # held by both sides, whose normals differ, it is wedged
             piece[-1], u[-1] = k, share
     return _clusters(piece, u, row, force, angles, rest=largest < 1e-4)
 

@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
-# How far past touch-down the first sample of a sweep along any body lies, and the step by which its end is looked for, in rod
-# lengths.
-_TOUCHED, _LOOK = 1e-6, 0.02
+# How far past touch-down the first sample of a sweep along any body lies, in rod lengths.
+_TOUCHED = 1e-6
 
 
 class Phase(IntEnum):
@@ -402,7 +401,7 @@ def _sweep_any(
     if not base_positions:
         starts = [outlines.touch_down(k) - _TOUCHED for k in range(len(contours))]
         # the rod can't reach farther than its length
-        tries = [np.arange(start, outlines.low[k, 0] - 1.0, -_LOOK) for k, start in enumerate(starts)]
+        tries = [np.arange(start, outlines.low[k, 0] - 1.0, -0.02) for k, start in enumerate(starts)]
         least = [np.arctan(mu.min(initial=np.inf if mu.size else 0.0)) for mu in frictions]
         ends = last_contacts(outlines, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
         base_positions = [start + spread * (end - start) for start, end in zip(starts, ends, strict=True)]

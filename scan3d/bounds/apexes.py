@@ -43,21 +43,11 @@ from scan3d.geometry.arcs import Arcs, Places
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.triangles import dot, face_normals
 
-# Smallest determinant of three unit normals that meet in an apex: below it the rounding of the apex is no longer small.
-_FLATTEST = 1e-7
 # Distance of the planes that close the polytope where no normals are known, in sizes of the body.
 _FAR = 300.0
-# Rounds of the refinement.
-_ROUNDS = 80
-# Half-widths below this, in radians, count as equal: rounding does not choose between arcs.
-_NARROW = 1e-5
 # Spacing of the normals of the first choice, in radians and in half-widths of their arcs, and the widest half-width that is
 # used: with wider arcs triangles turn over.
 _FIRST_SPACING, _FIRST_WIDTHS, _WIDEST = 0.2, 3.0, 0.4
-# Apexes that are cut off in one round: those farther out than this fraction of the farthest one, and no more than so many.
-_FRACTION, _AT_ONCE = 0.5, 60
-# Apexes at least this fraction of the farthest one, which no plane cuts off, lose their plane with the widest arc.
-_STUCK = 0.9
 # Gap relative to the body's size at which the refinement ends, and depth of a cut that counts.
 _CLOSE, _SHALLOWEST = 2e-5, 1e-7
 
@@ -107,7 +97,7 @@ def best_apexes(planes: Arcs, distance: Callable[[Array], Array]) -> Apexes | No
     known: dict[int, float] = {}
     stuck: set[int] = set()
     best: Apexes | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(80):
         covering = cover(planes, chosen)
         if covering is None:
             return best
@@ -158,8 +148,9 @@ def _improvements(
     free = np.flatnonzero((gap >= _CLOSE) & [code not in stuck for code in codes])
     while len(free) and not len(added):
         # from the farthest apexes on, until some can be cut off
-        rows = free[np.argsort(-gap[free], kind="stable")][:_AT_ONCE]
-        rows = rows[gap[rows] >= _FRACTION * gap[rows[0]]]
+        # those farther out than half the farthest one are cut off in one round, and no more than 60
+        rows = free[np.argsort(-gap[free], kind="stable")][:60]
+        rows = rows[gap[rows] >= 0.5 * gap[rows[0]]]
         free = np.setdiff1d(free, rows)
         cut = np.zeros(len(rows), dtype=bool)
         if len(candidates):
@@ -169,7 +160,8 @@ def _improvements(
             added = np.unique(candidates[deepest[cut]])
         stuck.update(codes[row] for row in rows[~cut].tolist())
     if not apexes.open.any() and gap.max() >= _CLOSE:
-        held = [code in stuck for code in codes] & (gap >= _STUCK * gap.max())
+        # what no plane cuts off loses its plane with the widest arc, if it is nearly as far out as the farthest one
+        held = [code in stuck for code in codes] & (gap >= 0.9 * gap.max())
         triangles = apexes.cover.planes[held]
         removed = np.unique(triangles[np.arange(len(triangles)), planes.half_width[triangles].argmax(axis=1)])
     return added, removed
@@ -210,7 +202,8 @@ def cover(planes: Arcs, chosen: Index) -> Cover | None:
         if triangles is None:
             return None
         determinant, apexes = _apexes(some, triangles)
-        bad = ~(determinant > _FLATTEST)
+        # the rounding of the apex of three nearly parallel planes is no longer small
+        bad = ~(determinant > 1e-7)
         if not bad.any():
             numbers = np.concatenate([-1 - np.arange(len(far.points)), chosen])[triangles]
             apexes[(numbers < 0).any(axis=1)] = np.inf
@@ -232,7 +225,8 @@ def _needless(planes: Arcs, triangles: Index, far: int) -> Index:
     """
     normals = planes.middle[triangles]
     opposite = np.linalg.norm(np.roll(normals, -1, axis=1) - np.roll(normals, 1, axis=1), axis=2)
-    width = np.maximum(planes.half_width, _NARROW)[triangles] * (1 + 1e-3 * opposite)
+    # rounding does not choose between arcs that are narrower
+    width = np.maximum(planes.half_width, 1e-5)[triangles] * (1 + 1e-3 * opposite)
     width[triangles < far] = -1.0
     return np.asarray(np.take_along_axis(triangles, width.argmax(axis=1)[:, None], axis=1)[:, 0])
 
@@ -273,10 +267,6 @@ def _apexes(planes: Arcs, triangles: Index) -> tuple[Array, Array]:
 
 
 # --- where errors are not negligible ---
-
-
-# Wedges that are used at most: of more contacts neighbours say nearly the same.
-_MOST = 4000
 
 
 class Outer(NamedTuple):
@@ -341,7 +331,8 @@ def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[
     The first stands for none: no direction enters it.
     """
     assert cloud.tangents is not None
-    rows = evenly(tangential(cloud), _MOST)
+    # of more contacts neighbours say nearly the same
+    rows = evenly(tangential(cloud), 4000)
     arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
     known = np.isfinite(arcs.half_width)
     own, ends = places.select(rows[known]), arcs.ends()[known]

@@ -56,10 +56,6 @@ from scan3d.reconstruction.slices import SliceStack
 
 MOST_CROSSINGS = 6_000
 """Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
-# Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.
-_ANCHORS = 4
-# Half-spaces of a slice's contacts in a cell with which the cell is begun, where other axes cut the slice into many cells.
-_FIRST = 5
 # Depth of a point inside a cell, in sizes of the cell, below which a better one is sought for Qhull, and steps from contacts
 # at which such a point is tried first.
 _INSIDE, _STEPS = 1e-6, 0.2 ** np.arange(13)
@@ -150,9 +146,8 @@ def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | N
     known = {} if known is None else known
     keys = slab_keys(stack)
     sides = cache(lambda _, side, i: by_secants(stack, i, side, margin))
-    arrangement = _Arrangement(
-        [stack], sides, stack.height_error, _ANCHORS if stack.confident or stack.height_error else 1
-    )
+    # where slices are uncertain, the nearest may have few contacts, or light ones
+    arrangement = _Arrangement([stack], sides, stack.height_error, 4 if stack.confident or stack.height_error else 1)
     for i, key in enumerate(keys):
         if key not in known:
             known[key] = _slab(stack, arrangement, i)
@@ -282,7 +277,8 @@ class _Arrangement:
                 heights = half.points @ self.axes.T
                 in_cell = np.flatnonzero(((heights >= low) & (heights <= high)).all(axis=1))
                 begin[-1][:] = False
-                begin[-1][in_cell[:: 1 + len(in_cell) // _FIRST]] = True
+                # some of a slice's half-spaces, where other axes cut it into many cells
+                begin[-1][in_cell[:: 1 + len(in_cell) // 5]] = True
         cell = _Cell(np.empty((0, 3)), [], *map(np.concatenate, (planes, side, goes_on)))
         chosen = np.concatenate(begin)
         corners = origin + OCTANTS @ scale.T / 2

@@ -36,8 +36,6 @@ EXACT = 2e-9
 # Half-width of an arc, in radians, from which on its plane is moved too far to bound anything, and depth of a plane's cut that
 # counts, in sizes of the body.
 _NARROW, _SHALLOWEST = 0.1, 1e-9
-# Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
-_APART = 4.0
 STRAIGHT = 0.03
 """Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's."""
 
@@ -233,7 +231,8 @@ def _anchors(stack: SliceStack, others: tuple[Slice, ...], slice_: Slice) -> tup
     """
     if not (stack.confident or stack.height_error):
         return others[:1]
-    return tuple(b for b in others if abs(b.height - slice_.height) > _APART * stack.height_error)
+    # at twice the error the slope of the secant between two slices is infinite
+    return tuple(b for b in others if abs(b.height - slice_.height) > 4.0 * stack.height_error)
 
 
 def secants(

@@ -59,25 +59,11 @@ from scan3d.shown import Described, Rows
 if TYPE_CHECKING:
     import trimesh
 
-# Facets of a hull of contacts that is taken for a polyhedron, whose tangents are tried; slabs bound curved bodies more tightly.
-_FEW_FACETS = 500
-# Axes of slices above which the tangents are tried: slabs along any one of them are wide.
-_FEW_AXES = 3
-# Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
-# radius; the second is tried where the outer body leaves the first.
-_WIDENED = (0.25, 2.0)
 # The enclosure by cells is used if its bound is below this fraction of that by slabs, since it takes several times as long.
 _TIGHTER = 0.95
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
-# Quantiles of the contacts' errors; contacts anywhere with a larger one are left out of the inner body, and the best bound is
-# taken.
-_QUANTILES = (1.0, 0.85, 0.7, 0.5)
-# Distance, in sizes of the contacts, of what stands for the body where nothing bounds it.
-_FAR = 1e3
-# Largest angles, in radians, of the normals from the middles of their arcs, of the contacts in each inner body by arcs.
-_WIDEST = (1e-4, 1e-3, 1e-2)
 # A hull of centre points that is thinner than the rod is made this much smaller.
 _LEAST = 1e-3
 
@@ -224,7 +210,8 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     bounds = slice_enclosure(cloud, margin, confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
     bounds = _with_cells(bounds, cloud) if exact else bounds
-    tighter = len(bounds.inner.faces) <= _FEW_FACETS or len(stacks(cloud)) > _FEW_AXES
+    # slabs bound curved bodies more tightly, but along any one of many axes they are wide
+    tighter = len(bounds.inner.faces) <= 500 or len(stacks(cloud)) > 3
     return _with_tangents(bounds, cloud) if exact and tighter else bounds
 
 
@@ -344,7 +331,9 @@ def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float
     """
     if cloud.tilt is None or margin is not None:
         return _by_slices(cloud, margin, confidence)
-    for widened in _WIDENED:
+    # by this fraction of the radius the cylinder is larger than the contacts; the second is tried where the outer body
+    # leaves the first
+    for widened in (0.25, 2.0):
         bounds = _by_slices(cloud, None, confidence, 1 + widened)
         assert bounds.slabs is not None
         stack = bounds.slabs.stack
@@ -544,7 +533,8 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) ->
     """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
     candidates = []
     largest = places.largest()
-    for quantile in _QUANTILES:
+    # contacts with larger errors are left out of the inner body, and the best bound is taken
+    for quantile in (1.0, 0.85, 0.7, 0.5):
         kept = largest <= np.quantile(largest, quantile)
         with suppress(InputError):
             some = cloud.select(kept)
@@ -556,7 +546,8 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) ->
     found = outer_body(cloud, places, turns, candidates[0][0])
     is_open = np.isinf(found.gap)
     corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
-    far = _FAR * float(np.linalg.norm(np.ptp(places.points, axis=0)))
+    # what stands for the body where nothing bounds it
+    far = 1e3 * float(np.linalg.norm(np.ptp(places.points, axis=0)))
     apexes = np.where(
         is_open[:, None],
         found.centre + far * unit(found.directions),
@@ -649,7 +640,8 @@ def _bodies_by_arcs(
         return
     assert cloud.centre_points is not None
     points = cloud.centre_points[rows] - radius * middle
-    for widest in _WIDEST:
+    # radians from the middles of the arcs
+    for widest in (1e-4, 1e-3, 1e-2):
         narrow = angle <= widest
         with suppress(InputError):
             if narrow.sum() > 3:

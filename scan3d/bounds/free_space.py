@@ -33,8 +33,6 @@ from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
-# Points of the bent part of each rod: of chords between them the sagitta is a fraction of a cell.
-_POINTS = 40
 # Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
 _DIRECTIONS = 48
 # Cells between successive contacts of a sweep, and cells along the longest side of a window at most.
@@ -188,9 +186,8 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     known[cloud.row if cloud.recovered is None else cloud.row[~cloud.recovered]] = True
     zero = np.zeros(len(force))
     fx, fy = np.where(is_felt[:, None], force, 0.0).T
-    lines = planar.elastic_lines(
-        zero, fx, fy, np.where(is_felt, recording.moment_Nm / rod.moment_unit_Nm, 0.0), _POINTS
-    )
+    # of chords between 40 points the sagitta is a fraction of a cell
+    lines = planar.elastic_lines(zero, fx, fy, np.where(is_felt, recording.moment_Nm / rod.moment_unit_Nm, 0.0), 40)
     line = np.concatenate([lines.curved, lines.straight[:, 1:]], axis=1) * cloud.rod_length
     known &= np.isfinite(line).all(axis=(1, 2))
     axes, clamp = recording.axes(), recording.position_m / unit

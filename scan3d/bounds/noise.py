@@ -54,9 +54,6 @@ _DIRECTIONS = 90
 _WIDENED = np.array([0.1, 2.0])
 # Times that the support lines are moved by the polygon of the lines before.
 _PASSES = 4
-# Largest standard deviation of a normal's angle, times κ, in radians, of a contact whose support line is used: errors of the
-# second order must be small.
-_LARGEST_TILT = 0.3
 # Support lines and directions of single contacts in a slice, and about as many averages of one size, at most: the time grows
 # with their number.
 _SINGLE = 1000
@@ -132,7 +129,8 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
     known[slice_.tangential] = True
     normals = np.full((len(rows), 2), np.nan)
     normals[slice_.tangential] = slice_.normals
-    lines = (known & (kappa * cloud.normal_sd[slice_.rows] < _LARGEST_TILT))[order]
+    # errors of the second order must be small
+    lines = (known & (kappa * cloud.normal_sd[slice_.rows] < 0.3))[order]
     measured = np.arctan2(normals[order][lines, 1], normals[order][lines, 0])
     sweep = cloud.sweep[rows] if cloud.independent else None
     rig = np.zeros_like(covariance)

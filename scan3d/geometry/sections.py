@@ -13,9 +13,6 @@ from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges, ratio
 if TYPE_CHECKING:
     import trimesh
 
-# Rounding of a rotated coordinate, relative to its size.
-_OF_TURNS = 8 * np.finfo(np.float64).eps
-
 
 def slice_frame(axis: Array) -> Array:
     """The x, y and z axes of the slices' frame as rows (3, 3), z along `axis` (3,); the identity matrix for the z axis."""
@@ -49,7 +46,8 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     center = mesh.bounds.mean(axis=0)
     origin = rotation @ center
     points = (mesh.vertices.view(np.ndarray) - center) @ rotation.T  # about the centre, where float64 is finest
-    rounding = _OF_TURNS * float(np.linalg.norm(mesh.extents) + np.linalg.norm(center))
+    # of a rotated coordinate
+    rounding = 8 * np.finfo(np.float64).eps * float(np.linalg.norm(mesh.extents) + np.linalg.norm(center))
     order = np.argsort(heights)
     levels = heights[order] - origin[2]
 

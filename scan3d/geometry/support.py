@@ -39,9 +39,6 @@ MAX_CONTACTS = 4000
 _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
 _RIDGE = 1e-11
-# By how much the values of λ that are compared reach beyond those that damp the roughest and the smoothest combination of
-# harmonics by half.
-_BEYOND = 1e3
 
 # Changes real and imaginary parts (2, n) into those of the conjugate.
 _CONJUGATE = np.array([[1.0], [-1.0]])
@@ -159,7 +156,8 @@ def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, de
     roughness, modes = eigh(np.diag(_roughness(degree)), normal_matrix)
     roughness, along = np.maximum(roughness, 0.0), modes.T @ right
     rough = roughness[roughness > _RIDGE * roughness[-1]]
-    damping = np.geomspace(1 / (_BEYOND * rough[-1]), _BEYOND / rough[0], 100)
+    # far beyond the values that damp the roughest and the smoothest combination of harmonics by half
+    damping = np.geomspace(1 / (1e3 * rough[-1]), 1e3 / rough[0], 100)
     kept = 1 / (1 + np.outer(damping, roughness))
     misfit = square - ((2 - kept) * kept) @ along**2
     best = np.argmin(misfit / (number - kept.sum(axis=1)) ** 2)

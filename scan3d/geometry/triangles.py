@@ -16,9 +16,6 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index, Mask, unit_or_zero
 
-# The corners of a triangle from each of them on.
-_FROM_CORNER = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-
 
 def dot(a: Array, b: Array) -> Array:
     """Scalar products (...) of vectors (..., 3)."""
@@ -51,7 +48,7 @@ def longest_first(corners: Array) -> Index:
     edges = np.roll(corners, -1, axis=1) - corners
     first, second, third = dot(edges, edges).T
     longest = np.where(third > np.maximum(first, second), 2, second > first)
-    return _FROM_CORNER[longest]
+    return np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])[longest]
 
 
 def halve(corners: Array) -> tuple[Array, Index]:
@@ -176,10 +173,6 @@ def mirrored_faces(faces: Index) -> tuple[Mask, bool]:
     return mirrored, parts == 2 and 2 * len(first) == faces.size and bool((label[:count] != label[count:]).all())
 
 
-# Decimals by which trimesh tells vertices apart (`trimesh.tol.merge`). It is a convention of that program, and no choice.
-_READERS_DECIMALS = 1e-8
-
-
 def distance_of_readers(points: Array) -> float:
     """The distance beyond which two of the points (n, 3) remain two in every reader; 0 if that were too much of the body.
 
@@ -188,7 +181,8 @@ def distance_of_readers(points: Array) -> float:
     """
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     single = float(np.finfo(np.float32).eps) * float(np.abs(points).max())
-    for spacing in (max(single, _READERS_DECIMALS), _READERS_DECIMALS):
+    # trimesh tells vertices apart by 1e-8 (`trimesh.tol.merge`)
+    for spacing in (max(single, 1e-8), 1e-8):
         distance = float(np.sqrt(3) * spacing)
         if distance <= 1e-5 * size:  # more would be seen
             return distance

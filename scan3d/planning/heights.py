@@ -38,18 +38,8 @@ AT_VERTEX, AT_POLE = 0.98, 0.35
 and at about a third at a smooth pole, whose cap is shallower than its corner."""
 AT_ONCE = 4
 """Largest number of parts into which a slab is cut at once."""
-# A gap that is wider by less than this factor than what contacts leave open in the planes of its slab is due to them.
-_NO_WIDER = 1.01
-# A body counts as bent everywhere if it goes on straight to less than this part of the corners whose gaps are not below a
-# hundredth of the widest.
-_FEW_STRAIGHT = 0.1
-# Heights of a round, over the slices so far and over those that are left: of bodies that are bent everywhere, and of others,
-# whose vertices are found one after another, until they have many slices.
-_ROUND_OF_BENT, _ROUND, _MANY = (0.3, 1 / 2), (0.12, 1 / 3), 128
 # Decimals of the gaps' roots, over the largest, by which slabs are compared, so that rounding decides nothing.
 _TIED_DECIMALS = 4
-# Largest difference of the components of two unit normals, of the cloud and as given by the caller, that are the same axis.
-_GIVEN_AXIS = 1e-6
 # Slices on either side of a slab in the hull from which its gaps are measured.
 _BESIDE = 2
 # Halvings of the interval in which the least gap lies, and steps towards gaps with even neighbours: to rounding.
@@ -151,14 +141,17 @@ def next_heights(
         np.maximum.at(in_plane, number, np.where(kind == Gap.CONTACTS, gap, 0.0))
         # to which corners the body goes on straight is known where slabs are thicker than what the contacts leave open
         vertex = straight.all(axis=1) & (in_plane < np.diff(_levels(stack)))[number]
-        between &= vertex | (gap > _NO_WIDER * in_plane[number])
+        # a gap that is hardly wider than what contacts leave open in the planes of its slab is due to them
+        between &= vertex | (gap > 1.01 * in_plane[number])
         enough = max(enough, float(np.median(in_plane)))
     if not between.any():
         return np.empty(0)
     number, gap, straight = number[between], gap[between], straight[between]
-    bent = bool(straight[gap >= gap.max() / 100].any(axis=1).mean() < _FEW_STRAIGHT)
+    # bent everywhere is what goes on straight to few of the corners with gaps that count
+    bent = bool(straight[gap >= gap.max() / 100].any(axis=1).mean() < 0.1)
     if count is None:
-        of_done, of_left = _ROUND_OF_BENT if bent or done >= _MANY else _ROUND
+        # vertices are found one after another, until there are many slices
+        of_done, of_left = (0.3, 1 / 2) if bent or done >= 128 else (0.12, 1 / 3)
         count = max(1, min(round(of_done * done), int(of_left * left)))
     at = corners[between] @ stack.frame[2]
     return cuts(_levels(stack), number, at, gap, straight.all(axis=1), count, enough, left if bent else None)
@@ -306,7 +299,7 @@ def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> Sl
     """That of the cloud's stacks along an axis."""
     if axis is not None:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-        candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < _GIVEN_AXIS]
+        candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < 1e-6]
     if len(candidates) != 1:
         normals = np.unique(np.round(cloud.slice_axis, 6), axis=0) + 0.0  # -0 becomes 0
         axes = ", ".join(str(tuple(map(float, row))) for row in normals)

@@ -39,7 +39,6 @@ SMALLEST_CLEARANCE = 1e-6
 LARGEST_NOISE = 1.0
 """Largest standard deviation of force and moment, in EI/L² and EI/L.  Contact forces are of that size, so that beyond it
 nothing would be measured."""
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -160,9 +159,10 @@ class Plan:
         """Unit normals (k, 3) of the slices."""
         letters = "z" if self.is_free else self.axis if isinstance(self.axis, str) else ""
         try:
-            given: list[Any] = [_AXES[letter] for letter in letters]
-            vectors = np.array(given or [self.axis], dtype=float)
-        except (KeyError, TypeError, ValueError, OverflowError):
+            vectors = (
+                np.eye(3)[["xyz".index(letter) for letter in letters]] if letters else np.array([self.axis], float)
+            )
+        except (TypeError, ValueError, OverflowError):
             vectors = np.empty(0)
         valid = vectors.ndim == 2 and vectors.shape[1] == 3 and np.isfinite(vectors).all() and vectors.any(axis=1).all()
         if not valid or len(set(letters)) < len(letters):
@@ -186,25 +186,16 @@ def check_whole(name: str, value: object, minimum: int) -> None:
         raise InputError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
 
 
-# By which fraction a sweep's samples are denser than evenly spaced at its start, and sparser at its end.
-CROWDING = 0.45
 FIRST_SWEEPS = 6
 """Approach directions with which a slice is begun; one sweep sees some 100° of its normals, less of straight sides."""
 MAX_SWEEPS = 16
 """Upper bound of the number of approach directions of a slice."""
 OPEN_FRACTION = 5e-4
 """A slice is covered where contacts and their tangents leave less than this fraction of its width open between them."""
-FAR_CLEARANCE = 0.8
-"""Distance in rod lengths of the far base lines from a slice that is not convex: the last fifth of the rod probes it."""
 AIMED_SLOPE = math.radians(40)
 """The slope at which a sweep aimed at a normal meets it: the middle of the slopes that it sees tangentially."""
-# Decimals to which angles in radians are rounded: those of normals, so that contacts on one edge have the same, and those of
-# approach directions, so that the poses are short numbers.
-_NORMAL_DECIMALS, _DIRECTION_DECIMALS = 9, 3
 # Where along the rod, in its lengths, a place in space is touched that a sweep is aimed at.
 _TOUCHED = 0.6
-# Angles by which the directions in space are turned, in radians: any that belong to no symmetry.
-_ASKEW = (0.2, 0.37, 0.61)
 
 
 def cosine_fractions(count: int) -> Array:
@@ -218,7 +209,8 @@ def base_fractions(samples: int) -> Array:
     They are denser at the start, where the contour turns fastest under the rod, so that the normals are met about evenly.
     """
     u = np.linspace(0.0, 1.0, samples)
-    return u - CROWDING / np.pi * np.sin(np.pi * u)
+    # denser at the sweep's start than evenly spaced by this fraction, and sparser at its end
+    return u - 0.45 / np.pi * np.sin(np.pi * u)
 
 
 def first_directions(plan: Plan) -> Array:
@@ -233,7 +225,8 @@ def base_clearances(plan: Plan, directions: int) -> list[list[float]]:
     A base far away probes with the end of the rod, as with a finger, and reaches into what the bent rod passes from a near one;
     with a given number of sweeps the two take turns.
     """
-    both = [plan.clearance, max(plan.clearance, FAR_CLEARANCE)]
+    # of a slice that is not convex the last fifth of the rod probes the far side
+    both = [plan.clearance, max(plan.clearance, 0.8)]
     return [both if plan.sweeps is None else [both[k % 2]] for k in range(directions)]
 
 
@@ -253,7 +246,7 @@ def further_directions(points: Array, normals: Array, width: float, limit: float
     if not len(points):
         return np.empty(0)
     # contacts on one edge have the same normal, up to rounding; their order is that along the edge
-    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), _NORMAL_DECIMALS)
+    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), 9)
     order = np.lexsort((points[:, 1] * np.cos(angle) - points[:, 0] * np.sin(angle), angle))
     points, angle = points[order], angle[order]
     chord = np.roll(points, -1, axis=0) - points
@@ -265,8 +258,9 @@ def further_directions(points: Array, normals: Array, width: float, limit: float
     open_height = np.where(gap >= np.pi, width, height)
     limit = OPEN_FRACTION * width if limit is None else limit
     middle = (angle + gap / 2)[open_height > limit]
-    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the undeformed rod, has the direction sought
-    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, _DIRECTION_DECIMALS))
+    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the undeformed rod, has the direction sought; it is rounded, so
+    # that the poses are short numbers
+    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, 3))
 
 
 class BaseLine(NamedTuple):
@@ -327,7 +321,8 @@ def icosahedron() -> Array:
     golden = (1 + np.sqrt(5)) / 2
     ends = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
     vertices = np.concatenate([np.roll(ends, k, axis=1) for k in range(3)])
-    return Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
+    # turned by angles that belong to no symmetry
+    return Rotation.from_euler("xyz", (0.2, 0.37, 0.61)).apply(vertices / np.linalg.norm(vertices[0]))
 
 
 def rasters(points: Array, count: int, clearance: float) -> Lines:
@@ -411,8 +406,6 @@ def across(direction: Array) -> tuple[Array, Array]:
 
 # Stretches of a slice that are aimed at in one round.
 _AT_ONCE = 3
-# Angles between the rod and the stretch's normal: a rod that comes along the normal meets the bay's mouth first.
-_ASIDE = (-math.radians(30), math.radians(30))
 
 
 class Aim(NamedTuple):
@@ -460,7 +453,8 @@ def aims(recording: Recording, cloud: Cloud) -> list[Aim]:
                 width = float(contours.distance[widest])
                 of_stretch = np.linalg.norm(flat[rows] - flat[widest], axis=1) <= width
                 normal = outward[rows[of_stretch]].sum(axis=0)
-                for aside in _ASIDE:
+                # a rod that comes along the stretch's normal meets the bay's mouth first
+                for aside in (-math.radians(30), math.radians(30)):
                     angle = math.atan2(-normal[1], -normal[0]) + aside
                     along = float(flat[widest] @ (math.cos(angle), math.sin(angle)))
                     found.append(Aim(width, sheet.frame[2], float(level), angle, along + width / 2))

@@ -61,8 +61,6 @@ _AROUND = 72
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
 # Part of the rod, from its tip, that must enter the body somewhere on a line.
 _LEAST = 0.1
-# Directions of the rod that are tried for a place to which a sweep is aimed.
-_TRIED = 16
 
 
 @dataclass(frozen=True)
@@ -498,7 +496,7 @@ def lines_to(targets: Array, normals: Array, space: Space, random: np.random.Gen
     lines = []
     for target, normal in zip(targets, normals, strict=True):
         first, second = across(normal)
-        for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(_TRIED) / _TRIED:
+        for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(16) / 16:
             along = np.cos(angle) * first + np.sin(angle) * second
             if along[2] > -0.02:  # nearly level, or upwards
                 continue

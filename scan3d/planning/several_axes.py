@@ -27,29 +27,11 @@ from scan3d.reconstruction.slices import SliceStack, stacks
 
 # Slices inside the body along each axis with which a scan along several axes starts.
 FIRST_SLICES = 3
-# Fraction of the number of slices so far that is added in one round, of bodies that are bent nearly everywhere and of others.
-_GROWTH_OF_BENT, _GROWTH = 0.4, 0.2
-# Slices left over the number of a round up to which the round takes all of them.
-_LAST = 1.3
 # Gaps over the largest one of the cells whose corners are looked at for vertices, and their largest number.  More take
 # longer.
 _WIDE, _MOST = 0.1, 200
-# Gaps below this fraction of the body's size are errors of exact contacts.
-_NO_GAP = 1e-7
-# Distance of contacts from a plane in which they lie, over the body's size, and the slices in which a straight side of the
-# body has contacts.
-_IN_PLANE, _SLICES_OF_SIDE = 1e-7, 3
-# Open cells over the slices left from which vertices are sliced along the axis with most slices, and from which all further
-# slices go along it, if this fraction of all slices is left.
-_CROWDED, _TOO_MANY, _EARLY = 0.6, 1.0, 0.5
-# Fraction of the wide gaps at vertices below which a body counts as bent nearly everywhere, and the open cells that it takes.
-_FEW_VERTICES, _FEW_CELLS = 0.1, 8
 # Part of the body's size, of a gap, or of a radian that makes no difference, so that rounding does not choose between axes.
 _SAME = 1e-6
-# Factor by which another axis must do better than that with most slices.
-_OTHER = 1.5
-# Halvings of the interval in which the least gap lies.
-_BISECTIONS = 40
 
 
 class _Open(NamedTuple):
@@ -112,7 +94,8 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
     """
     by_axis = stacks(cloud)
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    tolerance = max(plan.tolerance, _NO_GAP) * size
+    # smaller gaps are errors of exact contacts
+    tolerance = max(plan.tolerance, 1e-7) * size
     opened = _open(cloud, by_axis, size, tolerance)
     if left <= 0 or not len(opened.gap):
         return Further([])
@@ -120,14 +103,16 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
     open_, done = len(opened.gap), int(counts.sum())
     # of bent bodies, also in the planes of slices, gaps fall with what is found beside them
     anywhere = opened._replace(on_slice=np.zeros_like(opened.on_slice))
-    too_many = open_ > _TOO_MANY * left and left > _EARLY * (done + left)
+    # with more open cells than slices left all further ones go along the axis with most slices, if it is early
+    too_many = open_ > left and left > 0.5 * (done + left)
     # the cells between all slices must not become too many for the certificate
     if too_many or max(crossings(counts + left * unit) for unit in np.eye(len(counts), dtype=int)) > MOST_CROSSINGS:
         all_bent = anywhere._replace(vertex=np.zeros_like(opened.vertex))
         return Further([], by_axis[_cuts(all_bent, by_axis, np.empty(0), left, tolerance)[0]].frame[2])
-    vertices = _vertices(opened, by_axis, size, main=open_ > _CROWDED * left)
+    vertices = _vertices(opened, by_axis, size, main=open_ > 0.6 * left)
     wide = opened.gap > _WIDE * opened.gap.max()
-    bent = open_ >= _FEW_CELLS and bool(opened.vertex[wide].mean() < _FEW_VERTICES)
+    # bent nearly everywhere is a body with few vertices at the wide gaps of several cells
+    bent = open_ >= 8 and bool(opened.vertex[wide].mean() < 0.1)
     opened = anywhere if bent else opened
     axis, cuts = _cuts(opened, by_axis, np.array([cut.gap for cut in vertices]), left, tolerance)
     if bent:
@@ -136,8 +121,9 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
         further = next_heights(cloud, alone, axis=stack.frame[2], left=left)
         if len(further):
             return Further([(stack.frame[2], further)])
-    count = max(1, round((_GROWTH_OF_BENT if bent else _GROWTH) * done))
-    count = left if left <= _LAST * count else count
+    count = max(1, round((0.4 if bent else 0.2) * done))
+    # a short rest is taken together with the round
+    count = left if left <= 1.3 * count else count
     chosen: list[list[float]] = [[] for _ in by_axis]
     cuts = sorted(cuts + vertices, key=lambda cut: -cut.gap)
     for cut in cuts + _halves(opened, by_axis, cuts):
@@ -173,8 +159,9 @@ def _open(cloud: Cloud, by_axis: list[SliceStack], size: float, tolerance: float
     wide = np.flatnonzero(bounded & ~on_slice.any(axis=1) & (gap > _WIDE * gap.max(initial=0.0)))
     for i in wide[np.argsort(-gap[wide], kind="stable")][:_MOST]:
         planes = found.planes[worst[i]]
-        near = np.abs(cloud.points @ planes[:, :3].T + planes[:, 3]) < _IN_PLANE * size
-        vertex[i] = all(len(np.unique(cloud.slice[rows])) >= _SLICES_OF_SIDE for rows in near.T)
+        # a straight side of the body has contacts in three slices, in the planes that meet there
+        near = np.abs(cloud.points @ planes[:, :3].T + planes[:, 3]) < 1e-7 * size
+        vertex[i] = all(len(np.unique(cloud.slice[rows])) >= 3 for rows in near.T)
     return _Open(number, gap, corner, height, width, on_slice, vertex)
 
 
@@ -240,14 +227,15 @@ def _cuts(
         # slices between two others change nothing in the planes of these
         rows = np.flatnonzero(bent & ~opened.on_slice[:, k])
         low, high = 0.0, float(opened.gap.max())
-        for _ in range(_BISECTIONS):
+        for _ in range(40):
             target = (low + high) / 2
             enough = target >= tolerance and (
                 (_parts(opened, rows, k, target, len(stack.slices)) - 1).sum() + (at_vertices > target).sum() <= left
             )
             low, high = (low, target) if enough else (target, high)
         reached = max(high, float(opened.gap[bent & opened.on_slice[:, k]].max(initial=0.0)))
-        reached *= _OTHER if len(stack.slices) < most else 1.0
+        # another axis must do better than that with most slices
+        reached *= 1.5 if len(stack.slices) < most else 1.0
         if reached < best[0] * (1 - _SAME):
             best = reached, k, _parts(opened, rows, k, high, len(stack.slices))
     _, k, parts = best

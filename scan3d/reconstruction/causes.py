@@ -25,8 +25,6 @@ from scan3d.spatial.march import free_reactions
 from scan3d.units import angle, force, length, moment
 
 _ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")
-# Parts of the largest axis of a turn below which the others are not named.
-_ABOUT_ONE = 0.15
 # Signs, units and axes: what undoes the fault multiplies the channels by these factors.
 _FACTORS: dict[str, tuple[tuple[float, ...], str]] = {
     "wrench-sign": ((-1, -1, -1, -1, -1, -1), "the wrench has the opposite sign (that of the rod on the clamp)"),
@@ -55,19 +53,12 @@ _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 # Largest logarithm of a scale: larger ones make rods so long or forces so large that noise and rounding hide any misfit.
 _LARGEST_SCALE = 1.4
-# First estimates of what is searched: factors, 1 among them, near which small ones are found; the rod's length, in which the
-# misfit is one of steps because contacts near the tip count as tip contacts; angles in radians, and distances in rod lengths.
-_SCALES = np.geomspace(0.3, 1 / 0.3, 13)
-_LENGTHS = np.linspace(0.7, 1.4, 47)
 _ANGLES = np.radians(np.concatenate([sign * np.geomspace(2.0, 165.0, 12) for sign in (-1, 1)]))
-_TURNS = np.concatenate([np.radians(angle) * (2 * np.array(list(np.ndindex(2, 2, 2))) - 1) for angle in (2.0, 15.0)])
-_DISTANCES = np.geomspace(0.03, 0.5, 4)
 # Of rods: the logarithm of tip over clamp diameter, curvature in 1/L, and logarithms of weight in EI/L² and of compliance in
 # radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
-_TIPS, _CURVATURES = np.log([[0.5], [0.7], [0.95]]), np.array([0.02, 0.3])
+_CURVATURES = np.array([0.02, 0.3])
 _TENTH, _SMALL, _LEAST_WEIGHT = 0.1, np.log([[0.1], [1.0]]), 1e-4
 _LARGEST_LOG, _WAYS = 9.0, np.array([0.003, 0.03])
-_ABOUT_ROD, _ALONG_ROD = np.radians(np.arange(-180, 180, 30)), np.linspace(-0.5, 0.5, 5)
 
 
 class Diagnosis(NamedTuple):
@@ -162,12 +153,14 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
     found.append(_length())
     if len(stuck):
         found.append(stuck_rows(stuck, wrench))
-    places = np.concatenate([sign * distance * axes for distance in _DISTANCES for sign in (-1, 1)])
+    # in rod lengths
+    places = np.concatenate([sign * distance * axes for distance in np.geomspace(0.03, 0.5, 4) for sign in (-1, 1)])
     if not spatial:
         in_plane = places[places[:, 2] == 0][:, :2]
         return [*found, _sensor(axes[2:], none, _ANGLES[:, None], rod), _sensor(none, axes[:2], in_plane, rod)]
     found += [_sensor(axes[[k]], none, _ANGLES[:, None], rod) for k in range(3)]
-    found += [_sensor(axes, none, _TURNS, rod), _sensor(none, axes, places, rod)]
+    turns = np.kron(np.radians([[2.0], [15.0]]), 2 * np.array(list(np.ndindex(2, 2, 2))) - 1)
+    found += [_sensor(axes, none, turns, rod), _sensor(none, axes, places, rod)]
     return [*found, _sensor(axes, axes, _frame_starts(felt), rod)]
 
 
@@ -251,7 +244,8 @@ def _gain(code: str, scaled: Mask, text: str) -> Cause:
         factor = float(np.exp(-numbers[0]))
         return _named(code, factor, "times", text.format(factor))
 
-    return Cause(np.log(_SCALES)[:, None], lambda n: Undone(np.diag(np.exp(n[0] * scaled))), named, 1, _LARGEST_SCALE)
+    starts = np.log(np.geomspace(0.3, 1 / 0.3, 13))[:, None]  # 1 among the factors, near which small ones are found
+    return Cause(starts, lambda n: Undone(np.diag(np.exp(n[0] * scaled))), named, 1, _LARGEST_SCALE)
 
 
 def _late(recording: Recording) -> Cause:
@@ -334,7 +328,7 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
 
     arcs = np.kron(np.eye(count), np.concatenate([-_CURVATURES, _CURVATURES])[:, None])
     found = [
-        Cause(_TIPS, tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
+        Cause(np.log([[0.5], [0.7], [0.95]]), tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
         Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),
         Cause(_SMALL[:1], yielding, of_clamp, 1, _LARGEST_LOG, "rod"),
     ]
@@ -364,7 +358,8 @@ def _length() -> Cause:
         text = f"the rod is {factor:.3g} times as long as stated: measure its free length"
         return _named("length", factor, "times", text)
 
-    return Cause(np.log(_LENGTHS)[:, None], undone, named, 1, _LARGEST_SCALE)
+    # contacts near the tip count as tip contacts, so that the misfit over the length is one of steps
+    return Cause(np.log(np.linspace(0.7, 1.4, 47))[:, None], undone, named, 1, _LARGEST_SCALE)
 
 
 def _sensor(turns: Array, places: Array, starts: Array, rod: Rod) -> Cause:
@@ -402,10 +397,10 @@ def _frame_starts(felt: Array) -> Array:
     along_rod = np.array([0.0, 1.0, 0.0])
     for sign in (1.0, -1.0):
         to_rod = Rotation.align_vectors(along_rod[None], sign * axis[None] / size)[0]
-        for turned in _ABOUT_ROD:
+        for turned in np.radians(np.arange(-180, 180, 30)):
             turn = Rotation.from_rotvec(turned * along_rod) * to_rod
             across = np.cross(turn.apply(sign * arm / size), along_rod)
-            starts += [[*turn.as_rotvec(), *(across + along * along_rod)] for along in _ALONG_ROD]
+            starts += [[*turn.as_rotvec(), *(across + along * along_rod)] for along in np.linspace(-0.5, 0.5, 5)]
     return np.array(starts)
 
 
@@ -424,7 +419,8 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
             "[sensor], or calibrate",
         )
     axis = int(np.argmax(np.abs(vector)))
-    single = bool(np.delete(np.abs(vector), axis).max() <= _ABOUT_ONE * np.abs(vector[axis])) and not place.any()
+    # smaller parts of a turn are not named
+    single = bool(np.delete(np.abs(vector), axis).max() <= 0.15 * np.abs(vector[axis])) and not place.any()
     degrees = float(np.degrees(vector[axis] if single else np.linalg.norm(vector)))
     euler = np.degrees(vector) if single else euler_of(Rotation.from_rotvec(vector).as_matrix())
     turned = f"the sensor is turned by {angle(degrees)}"

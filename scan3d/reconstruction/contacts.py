@@ -38,13 +38,6 @@ from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
 
-# The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, which is
-# rounding, plus this many per standard deviation of the noise.
-_FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
-# Normals from slip and path are compared where their difference is known to this, in radians.
-_COMPARABLE = np.pi / 180
-# Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
-_SIGMAS_95 = float(np.sqrt(chdtri(2, 0.05)))
 # Friction angle where no contact says what it is.
 _FRICTION_ANGLE = float(np.arctan(0.5))
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
@@ -220,7 +213,8 @@ def _common_friction(angle: Array, noise: float) -> float | None:
     if not len(angle):
         return None
     median = float(np.median(angle))
-    agree = np.percentile(np.abs(angle - median), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
+    # in radians: rounding, and what noise does
+    agree = np.percentile(np.abs(angle - median), 95) <= 1e-6 + 3.0 * noise
     return max(float(np.tan(median)), 0.0) if agree else None
 
 
@@ -379,7 +373,8 @@ def _with_sweep_normals(cloud: Cloud, path: Track, known: Readings) -> tuple[Clo
     for origin, meaning in _SOURCES.items():
         source[found.source == origin] = meaning
     friction = np.where(found.sticks, np.nan, np.tan(angles(found.normal, direction)))
-    both = found.disagreement_sd < _COMPARABLE
+    # where the difference is known to a degree
+    both = found.disagreement_sd < np.pi / 180
     cloud = replace(
         cloud,
         normals=found.normal,
@@ -441,9 +436,10 @@ def radius_errors(cloud: Cloud) -> dict[str, float | None]:
     """
     unknown = np.isnan(cloud.normals[:, 0])
     sd = np.empty(0) if cloud.normal_sd is None or cloud.model == "planar" else cloud.normal_sd[~unknown]
+    # 95 % of the errors of a direction, both components of which are normally distributed, lie within
     return {
         "moved": cloud.rod_radius,
-        "left": cloud.rod_radius * _SIGMAS_95 * float(np.percentile(sd, 95)) if len(sd) else None,
+        "left": cloud.rod_radius * float(np.sqrt(chdtri(2, 0.05))) * float(np.percentile(sd, 95)) if len(sd) else None,
         "unknown_normals": int(unknown.sum()),
         "left_unknown": cloud.rod_radius * friction_angle(cloud) if unknown.any() else None,
     }

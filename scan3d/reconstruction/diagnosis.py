@@ -36,9 +36,6 @@ from scan3d.rods import Gravity, Rod
 from scan3d.spatial import inverse
 from scan3d.units import number, share
 
-# A fault is named if its correction removes at least this part of the root mean square misfit; it is refined if a first search
-# finds this part.
-_EXPLAINS, _HOPEFUL = 0.8, 0.5
 # And if after its correction hardly any rows contradict by more than so many standard deviations, of many pairs of rows, and
 # this part of the misfit, for its estimated numbers.
 _SURELY, _OF_NUMBERS = 6.0, 0.01
@@ -46,8 +43,6 @@ _SURELY, _OF_NUMBERS = 6.0, 0.01
 _ALIKE = 4.0
 # Mean square misfit that counts as none.
 _NO_MISFIT = 1e-12
-# Cross-talk that makers of sensors state: a moment along the force up to this part of both proves no second contact.
-_OF_SENSORS = 0.01
 # The misfit of a row without a contact, and the largest one that counts, so that single rows do not decide.
 _LARGEST = 0.1
 # Distance to the tip, in rod lengths, within which a contact counts as one of the tip, which has no tangent, so that the misfit
@@ -57,15 +52,11 @@ _TIP = 0.02
 _SIGMAS = 3.0
 # Forces below this part of the largest one are rounding of a tare.
 _NO_FORCE = 1e-5
-# Slices that are compared, rows of each, and rows of a recording in space; a first search takes half of them.
-_SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
 # Starts that are refined of each fault, and evaluations of a refinement, fewer in a first search and of rods, which are slow
 # and nearly linear.
 _STARTS, _EVALUATIONS, _FEW = 2, 12, 4
 # Step of the derivatives by numbers, and steps in which the ends of an interval are sought.
 _STEP, _STEPS = 1e-3, 10
-# Runs of rows that repeat others of which each is tried.
-_RUNS = 60
 _UNKNOWN = Diagnosis(
     "unknown",
     None,
@@ -108,10 +99,11 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
             group = [cause for cause in tried if (cause.family == "rod") == of_rod]
             evaluations = _FEW if of_rod else _EVALUATIONS
             trials = [_refined(trial, sample, evaluations) for trial in _searched(group, few)]
-            fitting += [trial for trial in trials if trial.explains(before) >= _EXPLAINS and trial.fits(before)]
+            fitting += [trial for trial in trials if trial.explains(before) >= 0.8 and trial.fits(before)]
     if all(trial.level > before for trial in fitting):  # errors that hide any misfit explain none
         about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
-        second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > _OF_SENSORS
+        # makers of sensors state a cross-talk of 1 %: so small a moment along the force proves no second contact
+        second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > 0.01
         return _second_contact(along_force) if second else _UNKNOWN
     # misfits that begin at a bound fall to zero slowly, the fewer rows have one, and few evaluations end before they do
     fitting = [_settled(trial, sample) if max(noise) else _refined(trial, sample) for trial in fitting]
@@ -168,7 +160,7 @@ def _stuck_rows(recording: Recording, wrench: Array, noise: tuple[float, float])
 def _contradicting(stuck: Index, wrench: Array, sample: _Sample) -> Index:
     """Those of the rows that repeat others whose runs contradict the rest: along a flat face right reactions repeat as well."""
     runs = np.split(stuck, np.flatnonzero(np.diff(stuck) > 1) + 1)
-    if not len(stuck) or len(runs) > _RUNS:
+    if not len(stuck) or len(runs) > 60:
         return stuck
 
     def without(some: Index) -> float:
@@ -240,7 +232,8 @@ def _mean_square(residuals: Array) -> float:
 def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
     """The faults with numbers that few rows make hopeful, as these estimate them, and all faults without numbers."""
     plain = [_Trial(cause, cause.starts[0]) for cause in tried if not cause.starts.shape[1]]
-    rough, least = [], (1 - _HOPEFUL) ** 2 * _mean_square(few.left(Undone()).excess)
+    # what halves the root mean square misfit is refined
+    rough, least = [], 0.25 * _mean_square(few.left(Undone()).excess)
     for cause in (cause for cause in tried if cause.starts.shape[1]):
         trials = [_Trial(cause, start, few.left(cause.undone(start))) for start in cause.starts]
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
@@ -336,11 +329,12 @@ def _sample(
 
     frames: list[Array] = []
     if model == "spatial":
-        of_slice = [chosen(np.flatnonzero(pressed), _IN_SPACE, kept)]
+        # a first search takes half of them
+        of_slice = [chosen(np.flatnonzero(pressed), 250, kept)]
     else:
         number, normals, _ = slices_of(recording, axes[:, 2])
-        numbers = chosen(np.unique(number[pressed]), _SLICES, np.unique(number[kept]))
-        of_slice = [chosen(np.flatnonzero(pressed & (number == k)), _IN_SLICE, kept) for k in numbers]
+        numbers = chosen(np.unique(number[pressed]), 5, np.unique(number[kept]))
+        of_slice = [chosen(np.flatnonzero(pressed & (number == k)), 120, kept) for k in numbers]
         frames = [slice_frame(normals[k])[:2] for k in numbers]
     rows = np.concatenate([np.empty(0, dtype=np.intp), *of_slice])
     return _Sample(

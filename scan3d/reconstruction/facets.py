@@ -29,8 +29,6 @@ from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
 # Planes of unit normals whose entries differ by less, with the body's size as unit, are one: both may be wrong by half of it.
 _SAME = 4 * NEGLIGIBLE
-# Distance of both ends of a side from the line of another one, with the body's size as unit, from which on the two do not meet.
-_APART = 1e-5
 POLYHEDRON = 0.95
 """Part of the contacts on facets from which on a body counts as a polyhedron: polyhedra of up to 400 vertices have 0.99 in 64
 slices, bodies with rounded edges 0.7."""
@@ -223,7 +221,8 @@ def _of_sides(by_axis: list[SliceStack], points: Array, size: float) -> tuple[Ar
     normals = unit(np.cross(along, off[rows, far]))
     normals *= np.sign(dot(normals, origin - points.mean(axis=0)))[:, None]
     error = ROUNDING * size * (1 + size * (1 / length[pairs[:, 0]] + ratio(1.0, apart.max(axis=1))))
-    fits = (error <= NEGLIGIBLE * size) & (apart.min(axis=1) > _APART * size)
+    # lines of sides in one plane do not meet in their ends
+    fits = (error <= NEGLIGIBLE * size) & (apart.min(axis=1) > 1e-5 * size)
     fits &= np.abs(dot(normals, offset[rows, 1 - far])) <= error
     planes, error = np.column_stack([normals, dot(normals, origin)])[fits], error[fits]
     behind = highest(points, planes[:, :3]) - planes[:, 3] <= error

@@ -26,17 +26,8 @@ from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 from scan3d.workers import shared
 
-# Share of the contacts that may lie in what other sweeps have passed, because they are those of rods with two contacts; larger
-# shares are those of a wrong rig.
-_SECOND = 0.15
 # Standard deviations of a place by which noise may put a contact into what was passed.
 _DEVIATIONS = 5.0
-# Steps of the base within which another contact confirms one.
-_NEIGHBOURS = 5.0
-# Slices that are worth another process.
-_SLICES = 16
-# Contacts around one that tell how steep the surface is there, across its slice.
-_AROUND = 12
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
@@ -55,7 +46,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
         wrong |= beside
     kept = (rows.touching & ~wrong)[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
-    if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
+    # larger shares than those of rods with two contacts are those of a wrong rig
+    if passed.sum() > 0.15 * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
         return cloud
     single = cloud.select(kept)
     if cloud.covariance is None and np.isfinite(friction):
@@ -111,7 +103,7 @@ class _Rows:
     def alone(self) -> Mask:
         """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
         step = np.median(np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps]))
-        return self._unconfirmed(self.touching, self.touching, _NEIGHBOURS * float(step))
+        return self._unconfirmed(self.touching, self.touching, 5.0 * float(step))
 
     def beside(self, wrong: Mask) -> Mask:
         """(n,) contacts next to a wrong one of their sweep, with no other contact where they are.
@@ -149,7 +141,8 @@ class _Rows:
         lies where many rods have been.
         """
         found = np.zeros(len(refused), dtype=bool)
-        for rows in shared(partial(self._contradicting, self.touching & ~refused), self._slices(), _SLICES):
+        # 16 slices are worth another process
+        for rows in shared(partial(self._contradicting, self.touching & ~refused), self._slices(), 16):
             found[rows] = True
         return found
 
@@ -261,7 +254,7 @@ def _estimated_normals(cloud: Cloud) -> Array:
     """(n, 3) normals: in the slice's plane as they are known there, tilted as the contacts around lie; NaN where unknown."""
     normals = np.full((len(cloud), 3), np.nan)
     rows = np.flatnonzero(np.isfinite(cloud.in_plane_normals[:, 0]))
-    count = min(_AROUND, len(cloud))
+    count = min(12, len(cloud))
     near = cKDTree(cloud.points).query(cloud.points[rows], k=range(1, count + 1))[1]
     level, axis = cloud.in_plane_normals[rows], cloud.slice_axis[cloud.slice[rows]]
     offset = cloud.points[near] - cloud.points[rows, None]

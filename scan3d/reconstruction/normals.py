@@ -40,17 +40,10 @@ EXACT = NEGLIGIBLE
 NEIGHBOURS = 12
 # Degrees of the harmonic series, tried in this order until the error at the held-out contacts falls no further.
 _DEGREES = (8, 16)
-# One contact in this many is held out of the fit, and about so many at most.
-_HELD_OUT_STEP, _HELD_OUT_LIMIT = 10, 1000
 # A higher degree is kept if its error is below this many times that of the degree before.
 _DEGREE_GAIN = 0.8
 # Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.
 _PER_COEFFICIENT, _TO_TRY = 4, 10
-# The body is smooth if 95 % of the held-out contacts are this close to the fit, in mean radii.  A cube, a cylinder or a lens
-# stay above 3e-3; ellipsoids, eggs and pebbles of 10,000 facets stay below 2e-4.
-_SMOOTH = 5e-4
-# Standard deviations of a contact's place by which noise may raise that limit.
-_NOISE_SIGMAS = 2
 # Normals that start the fit of a smooth body in space are known to at least this, in radians.
 _START = 0.03
 # The fit is repeated from its own normals at most this many times, while its error falls to this fraction.
@@ -58,12 +51,8 @@ _REFITS, _GAIN = 6, 0.7
 # Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
 # edges whatever the degree.
 _EXACT_FIT, _SMALL, _HOPELESS = 1e-11, 1e-6, 2e-2
-# Contacts of exact data used for a fit, at most.
-_EXACT_CONTACTS = 2000
 # Tangential contacts around a contact that show the error of fitted normals.
 _NEAREST = 12
-# A fit is that of the body from outside if the contact forces act outwards in at least this fraction of the contacts.
-_OUTWARD = 0.99
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
 # Depth below a facet, in such at which a contact lies on it, from which on it lies inside the hull.
@@ -103,12 +92,15 @@ def with_smooth_fit(cloud: Cloud) -> Cloud:
 
 def _held_out_rows(rows: Index) -> Index:
     """Those of the contacts that judge a fit and do not determine it."""
-    return rows[:: max(_HELD_OUT_STEP, len(rows) // _HELD_OUT_LIMIT)]
+    # one in ten, and about 1000 at most
+    return rows[:: max(10, len(rows) // 1000)]
 
 
 def _is_smooth(fitted: SupportFit, error: float, noise: float) -> bool:
     """Whether the error of a fit at held-out contacts, in mean radii, is that of a smooth body; `noise` is a length."""
-    return error <= _SMOOTH + _NOISE_SIGMAS * noise / _mean_radius(fitted)
+    # a cube, a cylinder or a lens stay above 3e-3; ellipsoids, eggs and pebbles of 10,000 facets stay below 2e-4; noise
+    # may raise that by two standard deviations
+    return error <= 5e-4 + 2 * noise / _mean_radius(fitted)
 
 
 def _held_out_error(fitted: SupportFit, points: Array, start: Array) -> float:
@@ -269,7 +261,8 @@ def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
         return cloud
     fitted, error, normals = fit
     direction = force / np.linalg.norm(force, axis=1, keepdims=True)
-    if np.mean((normals * direction).sum(axis=1) > 0) < _OUTWARD:
+    # else the fit is not that of the body from outside, on which the contact forces act
+    if np.mean((normals * direction).sum(axis=1) > 0) < 0.99:
         return cloud
     sd = _fitted_sd(cloud, normals, fitted.degree * error)
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
@@ -294,7 +287,8 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
         return None
     held_out = _held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
-    used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else _EXACT_CONTACTS)))]
+    # of exact data fewer are enough
+    used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else 2000)))]
     used_part, held_out_part = (
         _Part(cloud.points[part], normals[part], cloud.select(part).sd_along(normals[part]))
         for part in (used, held_out)

@@ -47,10 +47,6 @@ LARGEST = 0.01
 """Largest relative error that is allowed for.  A recording with a larger one contradicts the model."""
 # A relative error so small that its effect is linear.
 _UNIT = 1e-5
-# Probability that noise alone shows an error, so that bounds are wider than they need be.
-_DOUBT = 0.05
-# Successive contacts over which a mean is taken, and the most that one mean counts: that of three standard deviations.
-_RUN, _ONE_MEAN = 4, 9.0
 # Estimates with contacts that earlier ones have changed; an estimate that is not smaller than this part of the one before it is
 # the last one, and none counts as smaller than the other part of it, because an error that is too large leaves few lines.
 _PASSES, _SETTLED, _SMALLER = 6, 0.8, 0.25
@@ -213,7 +209,8 @@ def _means(compared: Compared, cloud: Cloud) -> _Means:
     begins = (np.diff(sweeps, axis=1, prepend=-1) != 0).any(axis=0)
     stretch = np.cumsum(begins) - 1
     within = np.arange(len(line)) - np.flatnonzero(begins)[stretch]
-    mean = np.cumsum(within % _RUN == 0) - 1
+    # means of four successive contacts
+    mean = np.cumsum(within % 4 == 0) - 1
     weight = 1 / (own**2 + of_line**2 + turned**2 + rounding)
     weight /= np.bincount(mean, weight)[mean]
     # contacts that have a line in common have the same error of that line
@@ -232,8 +229,10 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
     total, count = 0.0, 0
     for compared in compared_in_slices(cloud):
         square = _means(compared, cloud).square
-        total, count = total + float(np.minimum(square, _ONE_MEAN).sum()), count + len(square)
-    if not count or total <= chdtri(count, _DOUBT):
+        # one mean counts as three standard deviations at most
+        total, count = total + float(np.minimum(square, 9.0).sum()), count + len(square)
+    # in one of twenty right recordings noise alone shows an error, so that bounds are wider than they need be
+    if not count or total <= chdtri(count, 0.05):
         return 0.0, 0.0
     of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, _UNIT)))
     unit, cloud = of_unit.calibration, cloud.select(np.isin(cloud.row, of_unit.row))
@@ -257,15 +256,9 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
 
 # Contacts of a group: the median follows none of the wild ones among them while these are fewer than half.
 _GROUP = 8
-# Standard deviations of the remaining rows for each that is stated: what is not seen of a wild row stays within κ of these.
-_FACTOR = 1.5
 # Standard deviations from which on a row is off, where the rows are judged that follow each other: 1 % of the right ones are.
 # Small errors of gains, rods and clamps leave such beside half of the wild rows or more, independent errors beside 12 %.
 _BESIDE = 3.0
-# Rows of a touch at least.
-_TOUCH = 3
-# Passes, each without the rows that the ones before it have left out.
-_TRUST_PASSES = 10
 
 
 def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
@@ -291,7 +284,8 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
     left = np.flatnonzero(wild | short)
     share = float(pressed[left].sum() / pressed.sum())
     if share <= LARGEST_SHARE and _alone(recording.sweep, value, wild, beyond > _BESIDE):
-        return LeftOut(left, share, _FACTOR * (size or 1.0))
+        # what is not seen of a wild row stays within κ of larger standard deviations
+        return LeftOut(left, share, 1.5 * (size or 1.0))
     # what no right recording has must be explained, or nothing is certified
     return LeftOut(np.empty(0, dtype=np.intp), share, 1.0) if (beyond > strict).any() else None
 
@@ -321,7 +315,7 @@ def _short(sweep: Index, pressed: Mask) -> Mask:
     begins = np.flatnonzero(np.append(True, (np.diff(number) != 0) | (np.diff(force.astype(np.int8)) != 0)))
     length = np.diff(np.append(begins, len(order)))
     short = np.zeros(len(order), dtype=bool)
-    short[order] = force & np.repeat(length < _TOUCH, length)
+    short[order] = force & np.repeat(length < 3, length)
     return short
 
 
@@ -339,7 +333,8 @@ def _beyond_neighbours(compared: Compared, cloud: Cloud, value: Index, short: Ma
         part**2 for part in compared.deviations(compared.errors(1.0, cloud.covariance, cloud.normal_sd))
     )
     of_line, trusted, refuted = own + turned, np.ones(len(value), dtype=bool), np.zeros(len(value), dtype=bool)
-    for _ in range(_TRUST_PASSES):
+    # each pass is without the rows that the ones before it have left out
+    for _ in range(10):
         known = trusted[lines], trusted[some]
         of_lines, of_points = _groups(compared.points[lines], known[0]), _groups(compared.points[some], known[1])
         # where nothing is left to judge by, what is not trusted stays so
@@ -376,17 +371,14 @@ def _contradicted(pairs: Mask) -> tuple[Index, Index]:
     return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
 
-# Variance of the median of many normal numbers over that of their mean.
-_MEDIAN = np.pi / 2
-
-
 def _over_groups(beyond: Array, common: Array, own: Array, groups: Index, limit: float) -> tuple[Array, Index]:
     """(m,) the largest median of distances (k, m) over groups (g, s) of the rows, in standard deviations, and wrong rows.
 
     Of the variances (k, m) one part is common to a group, and each row has one of its own.  A group that contradicts more
     columns than it has rows is wrong itself.
     """
-    variance = common[groups].mean(axis=1) + _MEDIAN / groups.shape[1] * own[groups].mean(axis=1)
+    # the variance of the median of many normal numbers is π/2 of that of their mean
+    variance = common[groups].mean(axis=1) + np.pi / 2 / groups.shape[1] * own[groups].mean(axis=1)
     found = ratio(np.median(beyond[groups], axis=1), np.sqrt(variance))
     wrong = (found > limit).sum(axis=1) > groups.shape[1]
     return np.asarray(found[~wrong].max(axis=0, initial=-np.inf)), groups[wrong].ravel()

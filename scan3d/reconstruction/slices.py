@@ -39,16 +39,8 @@ SAME_HEIGHT = NEGLIGIBLE
 LEVEL = 0.02
 """Slices that are tilted against the table by less, in radians, count as parallel to it: those of a clamp that is a little off
 would else lie along several axes, of which no one bounds the body."""
-# Normals of measured poses that differ by less in each component are those of parallel slices.
-_SAME_NORMAL = 1e-3
-# Sweeps lie in one slice as well if their heights differ by less than this many times the spread within the median sweep.
-_SPREADS = 2.0
-# Tilted sweeps lie in one slice if their planes meet within this many rod lengths of the middle of the contacts.
-_TILTED = 0.2
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
-# Support lines at most that bound the section of a body beyond its slices.
-_SIDES = 60
 
 
 class Planes(NamedTuple):
@@ -86,7 +78,8 @@ def planes(recording: Recording, normals: Array, centre: Array, digits: float) -
     slope, length = _slope(normals, axis[number]), recording.rod.length_m
     if slope * length <= digits + SAME_HEIGHT * length:
         return Planes(number, axis, height, None)
-    number, axis, height = slices_of(recording, normals, centre, slope * _TILTED * length)
+    # tilted sweeps lie in one slice if their planes meet near the middle of the contacts
+    number, axis, height = slices_of(recording, normals, centre, slope * 0.2 * length)
     off = _heights(recording, normals, axis[number], centre) - height[number]
     return Planes(number, axis, height, Tilt(_slope(normals, axis[number]), float(np.abs(off).max()), centre))
 
@@ -110,7 +103,8 @@ def slices_of(
     if recording.table_m is not None:
         level = np.linalg.norm(sweep_normals[:, :2], axis=1) < LEVEL
         sweep_normals = np.where(level[:, None], np.sign(sweep_normals[:, 2:]) * [0.0, 0.0, 1.0], sweep_normals)
-    direction = _groups(sweep_normals, _SAME_NORMAL)
+    # normals of measured poses
+    direction = _groups(sweep_normals, 1e-3)
     mean = np.stack([np.bincount(direction, column) for column in sweep_normals.T], axis=1)
     axis = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[direction]
     height = _heights(recording, normals, axis[sweep], centre)
@@ -118,7 +112,7 @@ def slices_of(
     low, high = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
     np.minimum.at(low, sweep, height)
     np.maximum.at(high, sweep, height)
-    same = max(SAME_HEIGHT * recording.rod.length_m, apart, _SPREADS * float(np.median(high - low)))
+    same = max(SAME_HEIGHT * recording.rod.length_m, apart, 2.0 * float(np.median(high - low)))
     _, group = np.unique(np.column_stack([direction, _groups(plane[:, None], same)]), axis=0, return_inverse=True)
     group = group.reshape(-1)
     # numbers in the order in which the slices appear
@@ -415,7 +409,7 @@ def _section(stack: SliceStack, height: float) -> Array | None:
     for here, behind in itertools.pairwise(slices):
         if not here.closed:
             continue
-        sides = evenly(np.arange(len(here.angle)), _SIDES)
+        sides = evenly(np.arange(len(here.angle)), 60)
         normals = np.stack([np.cos(here.angle[sides]), np.sin(here.angle[sides])], axis=1)
         secant = (here.value[sides] - behind.support_of_contacts(normals)) / (here.height - behind.height)
         middle, size = here.points.mean(axis=0), _FAR * float(np.ptp(here.points, axis=0).max())

@@ -29,17 +29,12 @@ from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
 _BLOCK = 512
-# Arc length up to which a contact past the tip is sought.
-_LONGEST = 2.0
 # Rounds of an iteration at most, and the change that ends it; degrees of the polynomials in the direction of gravity, of which
 # the first that fits so well is taken, and the misfit of the last beyond which a rod is too heavy for them.
 _ROUNDS, _SETTLED = 40, 1e-12
 _DEGREES, _AGREED = (8, 12, 16, 24), 1e-9
 # Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
 _M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
-_CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-# The product of a quaternion with that of d1 = z, d2 = x, d3 = y, a turn by -120 degrees about (1, 1, 1).
-_CLAMPED = np.array([[1.0, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]]) / 2
 
 
 @dataclass(frozen=True)
@@ -125,8 +120,10 @@ def _start(rod: SpatialRod, contact_force: Array, moment: Array, down: Array) ->
     turn = rod.compliance * moment
     angle = np.sqrt((turn * turn).sum(axis=0))
     half = np.sinc(angle / (2 * np.pi)) / 2 * turn
-    quaternion = _CLAMPED @ np.concatenate([np.cos(angle / 2)[None], half])
-    inverse = quaternion * _CONJUGATE
+    # the product with the quaternion of d1 = z, d2 = x, d3 = y, a turn by -120 degrees about (1, 1, 1)
+    clamped = np.array([[1.0, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]]) / 2
+    quaternion = clamped @ np.concatenate([np.cos(angle / 2)[None], half])
+    inverse = np.concatenate([quaternion[:1], -quaternion[1:]])
     carried = (_rotated(inverse, vector) for vector in (moment, contact_force, down))
     return np.concatenate([*carried, quaternion, np.zeros_like(moment)])
 
@@ -142,7 +139,8 @@ def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marche
     unknown, hangs = np.full((9, start.shape[1]), np.nan), _overhang(rod)
     found = Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
     # past the tip the rod goes on with the stiffness there and without weight
-    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
+    # contacts past the tip are sought up to twice the rod's length
+    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, 2.0, steps + 1)[1:])
     with np.errstate(all="ignore"):
         falling = crossings(
             ends,

@@ -31,9 +31,6 @@ from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, unit
 
 # Widths of the windows for exact data.
 _WIDTHS = (3, 5, 7, 9)
-# The same for noisy data: widths of the windows for polynomials of a degree; those of a degree higher by two, which alters the
-# slope in a window's middle, show their truncation.
-_NOISY_WIDTHS = {2: (5, 7, 11, 17, 27, 41), 4: (7, 11, 17, 27, 41)}
 # Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
 # three times as large.
 _ROUGH = 3.0
@@ -268,7 +265,9 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
     """Slopes by windows of all widths, in blocks."""
     values = np.column_stack([track.point, track.s1])
     covariance = track.covariance
-    noisy = [(width, degree) for degree, widths in _NOISY_WIDTHS.items() for width in widths]
+    # windows for polynomials of a degree; those of a degree higher by two, which alters the slope in a window's middle,
+    # show their truncation
+    noisy = [(width, degree) for degree in (2, 4) for width in (5, 7, 11, 17, 27, 41) if width > degree + 1]
     for width, degree in [(width, 0) for width in _WIDTHS] if covariance is None else noisy:
         every = windows(starts, width)
         for part in np.array_split(np.arange(len(every.rows)), max(1, len(every.rows) // 20_000)):

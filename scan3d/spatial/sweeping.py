@@ -28,8 +28,6 @@ _LARGEST_STRAIGHTENED = 3
 _SMALLEST = 2.0**-5
 # Steps of the flow of a snap at most.
 _FLOW_STEPS = 60
-# Largest angle of the force: beyond it, the force pulls the rod straight.
-_LARGEST_ANGLE = 3.1
 
 
 class End(IntEnum):
@@ -354,7 +352,8 @@ class _Lanes:
         )
         before = state[2]
         state = state + taken * part * step[:4]
-        state[1] = np.clip(state[1], -_LARGEST_ANGLE, _LARGEST_ANGLE)
+        # a force at a larger angle pulls the rod straight
+        state[1] = np.clip(state[1], -3.1, 3.1)
         limit = np.cos(state[1] / 2) ** 2
         lanes.straightened[rows] = np.where(state[2] <= STRAIGHT, lanes.straightened[rows] + 1, 0)
         # at the limit of q², cos²(α/2), the rod is infinitely long: half the way there instead of nearly all of it

@@ -312,12 +312,8 @@ class _End:
 
 # Distance from a plane, in diagonals, of the contacts that lie in it.
 _PLANE = 5e-6
-# Depth, in diagonals, of the smallest cut by a contact's tangent plane.
-_CUT = 1e-4
 # Contacts beside a place whose normals tell how the body is bent there.
 _BESIDE = 32
-# Tangent planes that are used at most.
-_TANGENT_PLANES = 6000
 
 
 def curved(cloud: Cloud) -> Any:
@@ -380,8 +376,9 @@ def with_edges(cloud: Cloud) -> Any:
     if not len(faces):
         return hull(points)
     tangent = np.column_stack([normals, (normals * points).sum(axis=1)])
-    tangent = tangent[:: -(-len(tangent) // _TANGENT_PLANES)]
-    corners = cut_polytope(faces, tangent, points.mean(axis=0), diagonal, _CUT * diagonal)
+    tangent = tangent[:: -(-len(tangent) // 6000)]
+    # smaller cuts are rounding
+    corners = cut_polytope(faces, tangent, points.mean(axis=0), diagonal, 1e-4 * diagonal)
     return hull(np.concatenate([points, corners]))
 
 

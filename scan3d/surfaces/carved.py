@@ -35,18 +35,9 @@ KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
 _JOGGLE, _SEED = 1e-4, 0
 # Distance from a contact, in spacings, up to which it supports a contour.
 _SUPPORTED = 1.5
-# Contacts closer than this part of the spacing are one corner.
-_SAME = 0.1
-# Places in a tetrahedron at which free space is evaluated, as weights of its corners.
-_PLACES = np.vstack([np.full((1, 4), 0.25), 0.15 + 0.4 * np.eye(4)])
-# Parts of less than this share of the volume are splinters between rods.
-_SPLINTER = 1e-3
-# Rounds in which edges with more than two faces are mended by the smaller side; after them only tetrahedra are added.
-_ROUNDS = 8
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 # Edges of a tetrahedron, and the corners that each does not have, opposite which lie the faces that contain it.
 _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-_OPPOSITE = _EDGES[::-1]
 
 
 @dataclass(frozen=True)
@@ -81,7 +72,8 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     spacing = spacing_of(touched)
     unreached = _unreached(contours, sheets, spacing)
     points = np.concatenate([touched.points, unreached, _flat(sheets, spacing)])
-    corners = kept_apart(points, _SAME * spacing)
+    # contacts that are closer are one corner
+    corners = kept_apart(points, 0.1 * spacing)
     faces = corners[_bounded(points[corners], corners < len(touched), sheets, spacing)]
     # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
     points[: len(cloud)] = cloud.points
@@ -143,7 +135,9 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * spacing
     cells = Delaunay(joggled)
     corners, neighbours = cells.simplices, cells.neighbors
-    places = np.einsum("pk,tkx->tpx", _PLACES, points[corners])
+    # free space is evaluated in the middle of a tetrahedron, and near its corners
+    weights = np.vstack([np.full((1, 4), 0.25), 0.15 + 0.4 * np.eye(4)])
+    places = np.einsum("pk,tkx->tpx", weights, points[corners])
     depth = _depth(places.reshape(-1, 3), sheets).reshape(len(corners), -1).mean(axis=1)
     edges = joggled[corners[:, 1:]] - joggled[corners[:, :1]]
     volume = np.abs(np.linalg.det(edges)) / 6
@@ -156,7 +150,8 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     body |= ~from_outside[part]
     part = _parts(body, neighbours)
     sizes = np.bincount(part[body], volume[body], minlength=len(body) + 1)
-    body &= sizes[part] >= _SPLINTER * sizes.sum()
+    # smaller parts are splinters between rods
+    body &= sizes[part] >= 1e-3 * sizes.sum()
     if not body.any():
         raise InputError("the contacts span no body that the rods have left free; take more sweeps in a slice")
     # contacts on flat parts may have slivers above them
@@ -169,7 +164,8 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
         wrong = _shared(faces)
         if not len(wrong):
             break
-        _mend(body, wrong, corners, neighbours, volume * np.abs(depth), only_add=rounds >= _ROUNDS)
+        # edges with more than two faces are mended by the smaller side first; later tetrahedra are only added
+        _mend(body, wrong, corners, neighbours, volume * np.abs(depth), only_add=rounds >= 8)
     return faces
 
 
@@ -236,7 +232,7 @@ def _mend(body: Mask, wrong: Index, corners: Index, neighbours: Index, cost: Arr
     edge, cell = place[row, column].astype(np.int64), near[row]
     count = len(corners)
     order = np.argsort(edge * count + cell)
-    edge, cell, opposite = edge[order], cell[order], _OPPOSITE[column[order]]
+    edge, cell, opposite = edge[order], cell[order], _EDGES[::-1][column[order]]
     node = edge * count + cell
     other = neighbours[cell[:, None], opposite]
     beyond = edge[:, None] * count + other

@@ -26,8 +26,6 @@ from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, curved, h
 from scan3d.surfaces.regression import regression
 from scan3d.units import length
 
-# A hull with a bound this small, over the diagonal, is taken as it is.
-_PROVEN = 1e-4
 Estimates = dict[str, Callable[[], Any]]
 """Estimates of a surface by what they are, in words."""
 
@@ -114,7 +112,8 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     predicts them better.
     """
     diagonal = float(np.linalg.norm(np.ptp(bounds.inner.vertices, axis=0)))
-    if with_fit and bounds.bound <= _PROVEN * diagonal:
+    # a hull with so small a bound is taken as it is
+    if with_fit and bounds.bound <= 1e-4 * diagonal:
         confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
         proven = length(bounds.bound, cloud.unit, digits=2, up=True)
         reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
@@ -242,8 +241,6 @@ def _labelled(mesh: Any, method: str, reason: str) -> Any:
 
 # Slices of an axis, or sweeps in space, that are needed before any is held out.
 _FEWEST = 5
-# Every how-many-th sweep in space is held out.
-_EVERY = 4
 
 
 class HeldOutError(NamedTuple):
@@ -272,7 +269,7 @@ def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     sweeps, number = np.unique(cloud.sweep, return_inverse=True)
     if len(sweeps) < _FEWEST:
         return None
-    held_out = number % _EVERY == _EVERY // 2
+    held_out = number % 4 == 2
     return cloud.select(evenly(np.flatnonzero(~held_out), SOME)), cloud.select(held_out)
 
 

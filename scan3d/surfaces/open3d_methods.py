@@ -29,15 +29,8 @@ from scan3d.geometry.triangles import areas, kept_apart, without_unused
 
 # Multiples to which coordinates are rounded, over the cloud's size.
 _GRID = 2.0**-30
-# Ratio of the smallest to the largest width below which contacts count as lying in one plane.
-_FLATTEST = 1e-4
 # Side of Poisson's cube, in widths of the cloud, and the largest depth of its octree, which takes gigabytes beyond.
 _CUBE, _DEEPEST = 3.0, 10
-# Points of a slice often lie on one circle, where ball pivoting makes overlapping triangles: they are moved by this fraction of
-# the squared distance between them, which is small beside the depth of a chord.
-_JITTER = 1e-3
-# The reason mentions a bulge of the surface, beyond the box of the contacts, of this fraction of their diagonal.
-_BULGE = 0.01
 
 
 def check_method(method: str) -> None:
@@ -79,7 +72,8 @@ def poisson(points: Array, normals: Array) -> Any:
     reason = f"screened Poisson reconstruction of depth {depth} from {len(cloud.points)} of {len(points)} contacts"
     low, high = surface.bounds - [cloud.original.min(axis=0), cloud.original.max(axis=0)]
     beyond = float(max(-low.min(), high.max()) / np.linalg.norm(np.ptp(cloud.original, axis=0)))
-    if beyond > _BULGE:
+    # a bulge beyond the box of the contacts is worth a word
+    if beyond > 0.01:
         reason += f": it bulges {beyond:.0%} of their diagonal beyond them, where there are no contacts"
     surface.metadata.update(method="poisson", reason=reason)
     return surface
@@ -94,7 +88,9 @@ def ball_pivoting(points: Array, normals: Array) -> Any:
     """
     cloud, o3d = _even(points, normals), _open3d()
     radii = cloud.spacing * 2.0 ** np.arange(math.ceil(math.log2(2 / cloud.spacing)) + 1)
-    jitter = _JITTER * cloud.spacing**2 * np.random.default_rng(0).normal(size=cloud.points.shape)
+    # Points of a slice often lie on one circle, where ball pivoting makes overlapping triangles: they are moved by this
+    # fraction of the squared distance between them, which is small beside the depth of a chord.
+    jitter = 1e-3 * cloud.spacing**2 * np.random.default_rng(0).normal(size=cloud.points.shape)
     # the normals of a slice just below a flat end lie in the end's plane: inclined outwards, they show which side is outside
     inclined = unit_or_zero(cloud.normals + unit_or_zero(cloud.points))
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
@@ -151,7 +147,7 @@ def _even(points: Array, normals: Array) -> _Even:
     scaled = np.round((original - middle) / size / _GRID) * _GRID
     centre, shape = inertia(hull(scaled).vertices.view(np.ndarray))
     widths = np.linalg.eigvalsh(shape)
-    if widths[0] < _FLATTEST * widths[-1]:
+    if widths[0] < 1e-4 * widths[-1]:
         raise InputError(
             f"the {len(rows)} contacts with a normal lie in one plane, or nearly so: scan more slices, or use the method hull"
         )

@@ -35,18 +35,6 @@ _FEWEST = 4
 # Standard deviation of a plane's turn in one step, in radians, and its largest tangent. It keeps planes whose contacts lie on a
 # line from turning about it.
 _TURN = 0.3
-# Squared misfit from which on a contact is an outlier, where the median of the squared misfits is that of Gaussian errors.
-_OUTLIER, _MEDIAN = 25.0, 0.455
-# Steps of assignment and least squares between two splits at most, and rounds of splits, each of which may double the planes:
-# without noise they would go on for as long as there are contacts.
-_STEPS, _ROUNDS = 20, 16
-# Rounds without improvement after which the splits end.
-_PATIENCE = 3
-# Directions across a plane in which it may be split.
-_DIRECTIONS = 6
-# A vertex counts where each of its planes has contacts within this many median distances between neighbouring contacts; other
-# vertices are drawn half way to the contacts.
-_NEAR = 8.0
 
 
 class Contacts(NamedTuple):
@@ -137,8 +125,9 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
     middle = unit(_sums(group, np.ones(len(group)), outward, int(group.max()) + 1))
     planes, group = _fitted(contacts, middle, group)
     best, best_round, least = planes, 0, np.inf
-    for number in range(_ROUNDS):
-        for _ in range(_STEPS):
+    # each round may double the planes; without noise they would go on for as long as there are contacts
+    for number in range(16):
+        for _ in range(20):
             before, (planes, group) = group, _refitted(contacts, planes)
             if np.array_equal(before, group):
                 break
@@ -150,7 +139,7 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
             best, best_round, least = planes, number, total
         planes, group = _fitted(contacts, planes.normals, group)
         split = _split(contacts, planes, group)
-        if len(split) == len(planes) or number - best_round >= _PATIENCE:
+        if len(split) == len(planes) or number - best_round >= 3:
             break
         planes = split
     return best
@@ -163,7 +152,8 @@ def _misfit(contacts: Contacts, planes: Planes, plane: Index) -> Array:
 
 def _limit(misfit: Array) -> float:
     """The squared misfit from which on contacts count as outliers; larger while the planes are few for a curved body."""
-    return _OUTLIER * max(1.0, float(np.median(misfit)) / _MEDIAN)
+    # beyond five standard deviations; 0.455 is the median of squares of Gaussian errors
+    return 25.0 * max(1.0, float(np.median(misfit)) / 0.455)
 
 
 def _refitted(contacts: Contacts, planes: Planes) -> tuple[Planes, Index]:
@@ -223,7 +213,7 @@ def _split(contacts: Contacts, planes: Planes, group: Index) -> Planes:
     matrix = np.linalg.pinv(_sums(group, weight, flat[:, :, None] * flat[:, None], count), hermitian=True)
     heights = _sums(group, weight, flat * scaled[:, 2:], count)
     gain, bend, angle = np.zeros(count), np.zeros(count), np.zeros(count)
-    for direction in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
+    for direction in np.arange(6) * np.pi / 6:
         hinge = np.abs(scaled[:, :2] @ [np.cos(direction), np.sin(direction)])
         hinges = _sums(group, weight, flat * hinge[:, None], count)
         projected = np.einsum("kij,kj->ki", matrix, hinges)
@@ -260,7 +250,9 @@ def _body(cloud: Cloud, points: Array, planes: Planes) -> Any:
     ]  # others are those of planes that leave the body open
     if len(vertices):
         _, _, inner = nearest(vertices, touched)
-        near = _NEAR * float(np.sqrt(touched.area / len(points)))
+        # A vertex counts where each of its planes has contacts within this many median distances between neighbouring
+        # contacts; other vertices are drawn half way to the contacts.
+        near = 8.0 * float(np.sqrt(touched.area / len(points)))
         fraction = np.where(_shown(vertices, planes, points, group, near), 1.0, 0.5)[:, None]
         feet = np.concatenate([feet, inner + fraction * (vertices - inner)])
     return hull(feet)
