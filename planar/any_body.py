@@ -30,10 +30,10 @@ from planar.singles import INSIDE, JUMP, Singles, Start
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
 # across a fold, which the chain in its coarseness must see.
 _STEP, _FOLD, _ACROSS = 0.02, 2e-5, 5e-4
-# Arc lengths at which a rod is tested, intervals into which the least gap is divided at a time, and how often.
-_TESTED, _ZOOM, _ZOOMS = 129, 8, 6
-# Slip of a contact, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
-_SLIPS, _ROUNDING = 1e-9, 1e-10
+# Arc lengths at which a rod is tested, and intervals into which the least gap is divided at a time.
+_TESTED, _ZOOM = 129, 8
+# Lengths and sines at which contacts change.
+_ROUNDING = 1e-10
 
 
 class SweepStatus(Explained):
@@ -369,7 +369,7 @@ class _Sweeps:
         depth, s, found = gap[np.arange(m), best].copy(), best * spacing, Nearest(*(v[flat].copy() for v in near))
         middle, reach = grid[column], spacing
         part = rods.rows(row)
-        for _ in range(_ZOOMS if len(row) else 0):
+        for _ in range(6 if len(row) else 0):
             at = np.clip(middle[:, None] + reach * np.linspace(-1, 1, _ZOOM + 1), 0, 1)
             shape = shapes(self.outlines, part, at)
             near = self.outlines.nearest(
@@ -434,7 +434,7 @@ class _Sweeps:
         new, old = shapes(self.outlines, rods, at), shapes(self.outlines, before, at)
         tau = self.outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(rods.s.shape)
         slip = (new.x - old.x) * np.cos(tau) + (new.y - old.y) * np.sin(tau)
-        wrong = ~rods.sticks & (slip * np.sign(rods.zeta) > _SLIPS)
+        wrong = ~rods.sticks & (slip * np.sign(rods.zeta) > 1e-9)
         torn = rods.sticks & (np.abs(rods.zeta) > zeta[:, None] + _ROUNDING)
         return used & (zeta[:, None] > 0) & (before.count[:, None] > 0) & (wrong | torn)
 

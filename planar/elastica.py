@@ -236,7 +236,7 @@ def unbowed_height(alpha: Array) -> Array:
 
 
 # Force, and inverse modulus, below which (C5) and (C4) lose more digits to cancellation than Gauss's rule has errors.
-_WEAK, _FAST = 1e-3, 0.02
+_WEAK = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -283,7 +283,7 @@ def piece(force_x: Array, force_y: Array, phi: Array, kappa: Array, length: Arra
         across = np.where(straight, s * np.sin(theta0), -(kappa1 - kappa0) / force)
         x = -np.sin(alpha) * along - np.cos(alpha) * across
         y = np.cos(alpha) * along - np.sin(alpha) * across
-    cancels = np.flatnonzero((~straight & (force < _WEAK) | (turns & (force < _FAST * energy))).ravel())
+    cancels = np.flatnonzero((~straight & (force < _WEAK) | (turns & (force < 0.02 * energy))).ravel())
     if len(cancels):
         rows = [v.ravel()[cancels] for v in (force, energy, theta0, kappa0, s, phi0)]
         x.ravel()[cancels], y.ravel()[cancels] = _integrated(*rows)

@@ -38,13 +38,12 @@ from planar.reconstruction import Contacts
 from planar.sweeping import Phase
 from planar.uncertainty import Errors
 
-# Friction angle, in radians, that rounding may change (of 6,000 exact contacts it changed none by 1e-13), the one up to which
-# contacts agree on theirs, standard deviations of a test on noisy contacts.
-_EXACT, _AGREES, _DEVIATIONS = 1e-11, 1e-6, 5.0
+# Friction angle, in radians, up to which contacts agree on theirs, and standard deviations of a test on noisy contacts.
+_AGREES, _DEVIATIONS = 1e-6, 5.0
 # Chord, in rod lengths, below which a contact has not moved.
 _SAME_PLACE = 1e-6
-# Distance, in rod lengths, up to which exact contacts are at one corner, and steps of Newton's iteration to it along the rod.
-_SAME_CORNER, _FOOT_STEPS = 1e-9, 3
+# Distance, in rod lengths, up to which exact contacts are at one corner.
+_SAME_CORNER = 1e-9
 
 
 def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) -> float:
@@ -90,7 +89,8 @@ def second_contacts(
     )
     with np.errstate(invalid="ignore"):
         off = contacts.friction_angle_bound - zeta
-        allowed = np.maximum(_DEVIATIONS * beta_error, _EXACT)
+        # rounding changed none of 6,000 exact friction angles by 1e-13
+        allowed = np.maximum(_DEVIATIONS * beta_error, 1e-11)
         # a tip contact has less
         found = (tangential & (np.abs(off) > allowed)) | ((contacts.phase == Phase.TIP) & (off > allowed))
         # a step that leaves the rod's line is explained by an end that is known to be wrong
@@ -165,7 +165,7 @@ def first_contacts(
     if not len(known) or not len(base):
         return found
     row, corner, s, _ = near(drawn(x0, f0x, f0y, m0z, s1), known, 2 * EXPANDED)
-    for _ in range(_FOOT_STEPS):
+    for _ in range(3):  # Newton's iteration to the corner along the rod
         shape = piece(-across[row], -along[row], np.full(row.shape, np.pi / 2), -moment[row], s)
         x, y = known[corner].T - [base[row] + shape.x, shape.y]
         s = np.clip(s + x * np.cos(shape.phi) + y * np.sin(shape.phi), 0, end[row])

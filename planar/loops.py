@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array, Index, Mask, ratio
 
-# Points on each loop by which the nearest piece is found, and how many of the nearest are asked for theirs.
-_POINTS, _NEAREST = 1200, 6
+# Points of the loops that are asked for their pieces, of those nearest to a place.
+_NEAREST = 6
 # Distance in the third dimension that keeps the planes of bodies apart in one tree.
 _APART = 1e3
 
@@ -131,7 +131,7 @@ class Outlines:
         ends = self.at(parts, np.tile(np.linspace(0, 1, 17), len(curves))).point.reshape(-1, 17, 2)
         length = np.hypot(*np.diff(ends, axis=1).transpose(2, 0, 1)).sum(axis=1)
         whole = np.bincount(loop_of[curves], weights=length)
-        number = np.maximum(np.ceil(_POINTS * length / whole[loop_of[curves]]), 3).astype(np.intp)
+        number = np.maximum(np.ceil(1200 * length / whole[loop_of[curves]]), 3).astype(np.intp)
         number = np.maximum(number, 2 * self.intervals[curves])
         self._piece = np.repeat(curves, number)
         step = np.arange(len(self._piece)) - np.repeat(np.cumsum(number) - number, number)

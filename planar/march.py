@@ -47,9 +47,8 @@ from planar.rods import Profile, Rod
 
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
-# Steps along the rod to start with, by what they grow, the most, and the difference of two runs, in rod lengths, at which
-# they suffice.
-STEPS, _GROWTH, _MOST_STEPS, _AGREED = 8, 1.5, 256, 1e-10
+# Steps along the rod to start with.
+STEPS = 8
 # Slopes of the tip, and arc lengths, at which the moment of the overhang is tabulated.
 _TIP_SLOPES, _LENGTHS = 96, 33
 
@@ -99,10 +98,10 @@ def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
     # some rows of all sizes tell how many steps are enough
     rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), 32).astype(np.intp))] if len(order) else order
     steps, last = STEPS, march(rows, STEPS)
-    while steps < _MOST_STEPS:
-        more = round(_GROWTH * steps)
+    while steps < 256:
+        more = round(1.5 * steps)
         finer = march(rows, more)
-        if not ((np.abs(finer - last) > _AGREED) | (np.isnan(finer) != np.isnan(last))).any():
+        if not ((np.abs(finer - last) > 1e-10) | (np.isnan(finer) != np.isnan(last))).any():
             break
         steps, last = more, finer
     return steps

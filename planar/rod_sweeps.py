@@ -19,14 +19,12 @@ from planar.contours import Path
 from planar.rods import Rod
 from planar.segments import LEVELS
 
-# Steps along the rod for tables, and for samples.
-_COARSE, _FINE, _MOST_STEPS = 4, 8, 128
+# Steps along the rod for tables.
+_COARSE = 4
 # Change of a state by twice the steps, in rod lengths and radians, at which they suffice.
 _AGREED = 1e-10
 # Residual, in rod lengths and radians, at which an equilibrium is found.
 _SOLVED = 1e-11
-# Iterations, of which one in three computes the derivatives anew.
-_ITERATIONS = 24
 
 
 class Course(NamedTuple):
@@ -114,7 +112,7 @@ def _newton(residuals: Callable[[Array, Index], Array], start: Array, scale: Arr
     rows = np.arange(start.shape[1])
     slopes = np.zeros((len(rows), len(z), len(z)))
     value = residuals(z, rows)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(24):
         solved = np.abs(value).max(axis=0) < _SOLVED
         found[rows[solved]] = True
         going = ~solved & np.isfinite(value).all(axis=0)
@@ -402,7 +400,7 @@ def states(rod: Rod, tables: Tables, course: Course, x0: Array) -> Equilibria:
 
 def _solved(rod: Rod, course: Course, start: Equilibria, x0: Array) -> Equilibria:
     """Equilibria (n,) at base positions, near the start; NaN where none was found."""
-    steps, states = _FINE, start
+    steps, states = 8, start
     while True:
 
         def misfit(z: Array, rows: Index, n: int = steps) -> Array:
@@ -414,7 +412,7 @@ def _solved(rod: Rod, course: Course, start: Equilibria, x0: Array) -> Equilibri
         states = states._replace(place=z[0], force=z[1], other=z[2])
         with np.errstate(invalid="ignore"):
             finer = np.abs(misfit(z[:, found], np.flatnonzero(found), 2 * steps)).max(initial=0.0)
-        if finer < _AGREED or steps >= _MOST_STEPS:
+        if finer < _AGREED or steps >= 128:
             break
         steps *= 2
     slope = course.at(states.place)[0]

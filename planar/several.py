@@ -32,11 +32,8 @@ from planar.loops import Nearest, Outlines, Place
 
 # Contacts of one rod, at most: with more it is reported as not resolved.
 MOST = 3
-# Distance from a piece's middle, in lengths of it, from which on a contact is looked for on the next one, and the residual
-# from which on it is if it is beyond the end at all.
-_BEYOND, _NEAR = 1.5, 1e-4
-# Largest changes in one iteration: of a place, in rod lengths, of a slope, of the curvature.
-_FARTHEST, _STEEPEST, _TIGHTEST = 0.2, 0.5, 2.0
+# Largest changes in one iteration: of a place, in rod lengths, and of a slope.
+_FARTHEST, _STEEPEST = 0.2, 0.5
 
 
 @dataclass
@@ -172,7 +169,8 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         size = np.abs(value).max(axis=1)
         # places beyond the ends of their pieces, which at the solution are on the next ones
         off = np.abs(here[:, 1 + 2 * k :] - 0.5) * (~part.sticks & ~outlines.is_closed[part.piece])
-        passes = (off > _BEYOND) | ((off > 0.5) & ((size < _NEAR) & (here[:, 1 : 1 + k] >= 0).all(axis=1))[:, None])
+        # off by more than a piece from its middle, or beyond its end when nearly solved
+        passes = (off > 1.5) | ((off > 0.5) & ((size < 1e-4) & (here[:, 1 : 1 + k] >= 0).all(axis=1))[:, None])
         leaves = passes.any(axis=1)
         if leaves.any():
             moved, start = outlines.shifted(part.piece.ravel(), here[:, 1 + 2 * k :].ravel(), part.tip.ravel())
@@ -198,7 +196,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         place = outlines.at(part.piece.ravel(), u.ravel())
         speed = np.hypot(*place.derivative.T) / _FARTHEST + np.abs(outlines.turn[part.piece.ravel()]) / _STEEPEST
         scale = np.zeros((len(rows), d))
-        scale[:, 0], scale[:, 1 + k : 1 + 2 * k] = 1 / _TIGHTEST, 1 / _FARTHEST
+        scale[:, 0], scale[:, 1 + k : 1 + 2 * k] = 0.5, 1 / _FARTHEST
         scale[:, 1 + 2 * k :] = np.where(part.sticks, 1 / _STEEPEST, speed.reshape(-1, k))
         z[rows] -= change / np.maximum(1.0, np.abs(change * scale).max(axis=1))[:, None]
         rows = remaining
@@ -243,9 +241,6 @@ def reactions(outlines: Outlines, rods: Rods) -> tuple[Array, Array, Array]:
 LINKS = 80
 # Points on each link that must stay outside, so that corners do not pass between them.
 _PER_LINK = 3
-# Damping of a step and its largest turn of a link, in radians.
-_DAMPING, _TURN = 0.35, 0.03
-_STEPS, _PATIENCE = 600, 150
 # Gap, in rod lengths, from which on a point does not take part in a step.
 _CLEAR = 0.05
 
@@ -291,9 +286,9 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
     mu, angles = np.tan(friction_angle), angles.copy()
     d = np.zeros(LINKS)
     active = np.zeros(0, dtype=np.intp)
-    for step in range(_STEPS):
+    for step in range(600):
         # chains that go to and fro between two contacts come to rest with smaller steps
-        damping = _DAMPING / (1 + step // _PATIENCE)
+        damping = 0.35 / (1 + step // 150)
         place = chain_points(x0, angles)
         near = outlines.nearest(np.full(len(place), body, dtype=np.intp), place, _CLEAR)
         close = np.flatnonzero(near.gap < _CLEAR)
@@ -314,7 +309,7 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
         largest = float(np.abs(d).max())
         if largest < 3e-7:  # at rest, closely enough for Newton's method
             break
-        angles += min(damping, _TURN / largest) * d
+        angles += min(damping, 0.03 / largest) * d
     pressed = force > 1e-9 * max(1.0, float(force.max(initial=0.0)))
     row, force, piece, u = row[pressed], force[pressed], near.piece, near.u
     pushed = force[row == len(_S) - 1] @ normal[pressed][row == len(_S) - 1]

@@ -45,11 +45,8 @@ from scan3d.geometry.triangles import dot, face_normals
 
 # Distance of the planes that close the polytope where no normals are known, in sizes of the body.
 _FAR = 300.0
-# Spacing of the normals of the first choice, in radians and in half-widths of their arcs, and the widest half-width that is
-# used: with wider arcs triangles turn over.
-_FIRST_SPACING, _FIRST_WIDTHS, _WIDEST = 0.2, 3.0, 0.4
-# Gap relative to the body's size at which the refinement ends, and depth of a cut that counts.
-_CLOSE, _SHALLOWEST = 2e-5, 1e-7
+# Gap relative to the body's size at which the refinement ends.
+_CLOSE = 2e-5
 
 
 class Cover(NamedTuple):
@@ -92,8 +89,8 @@ def best_apexes(planes: Arcs, distance: Callable[[Array], Array]) -> Apexes | No
     distance
         of points (p, 3) from the inner body, convex and never negative, in that frame.
     """
-    chosen = thinned(planes, _FIRST_WIDTHS, _FIRST_SPACING)
-    usable = planes.half_width < _WIDEST
+    chosen = thinned(planes, 3.0, 0.2)
+    usable = planes.half_width < 0.4  # with wider arcs triangles turn over
     known: dict[int, float] = {}
     stuck: set[int] = set()
     best: Apexes | None = None
@@ -156,7 +153,7 @@ def _improvements(
         if len(candidates):
             depth = planes.select(candidates).depths(nominal[rows])
             deepest = depth.argmax(axis=1)
-            cut = depth[np.arange(len(rows)), deepest] > _SHALLOWEST
+            cut = depth[np.arange(len(rows)), deepest] > 1e-7
             added = np.unique(candidates[deepest[cut]])
         stuck.update(codes[row] for row in rows[~cut].tolist())
     if not apexes.open.any() and gap.max() >= _CLOSE:

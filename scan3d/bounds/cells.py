@@ -56,11 +56,8 @@ from scan3d.reconstruction.slices import SliceStack
 
 MOST_CROSSINGS = 6_000
 """Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
-# Depth of a point inside a cell, in sizes of the cell, below which a better one is sought for Qhull, and steps from contacts
-# at which such a point is tried first.
-_INSIDE, _STEPS = 1e-6, 0.2 ** np.arange(13)
-# Coordinates of corners, in sizes of the cell, beyond which half-spaces do not close but for rounding.
-_FAR = 1e6
+# Depth of a point inside a cell, in sizes of the cell, below which a better one is sought for Qhull.
+_INSIDE = 1e-6
 # Determinant of three axes that span space.
 _SPANNING = 0.02
 
@@ -344,7 +341,7 @@ class _Arrangement:
         start, towards = ((self._frame @ place - middle) / size for place in (start, places.mean(axis=0)))
         halfway = start.copy()
         halfway[: len(self._bounded)] = 0.0
-        tried = np.concatenate([start + _STEPS[:, None] * (end - start) for end in (halfway, towards)])
+        tried = np.concatenate([start + 0.2 ** np.arange(13)[:, None] * (end - start) for end in (halfway, towards)])
         return inverse @ middle, inverse * size, tried, width
 
 
@@ -389,7 +386,8 @@ def _left(planes: Array, origin: Array, scale: Array, tried: Array) -> tuple[Arr
         return open_
     # the intersection is bounded only if the point lies inside the hull of the dual points
     corners = found.intersections
-    if not (found.dual_equations[:, 3] < -ROUNDING).all() or not np.abs(corners).max() < _FAR:
+    # half-spaces close farther out by rounding only
+    if not (found.dual_equations[:, 3] < -ROUNDING).all() or not np.abs(corners).max() < 1e6:
         return open_
     return origin + (inside + corners) @ scale.T, found.dual_facets
 

@@ -33,9 +33,6 @@ AVERAGED = (2, 4, 16, 64)
 _SHARE = 0.2
 EXACT = 2e-9
 """Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave."""
-# Half-width of an arc, in radians, from which on its plane is moved too far to bound anything, and depth of a plane's cut that
-# counts, in sizes of the body.
-_NARROW, _SHALLOWEST = 0.1, 1e-9
 STRAIGHT = 0.03
 """Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's."""
 
@@ -117,14 +114,15 @@ class Tangents(NamedTuple):
         A normal that is turned by θ within its arc has ``<middle, x - p> <= tan θ <across, x - p>`` for all x of the body, so
         that the plane with the middle one holds where it is moved outwards by the most that this can be.
         """
-        arcs = self.arcs.select(np.flatnonzero(self.arcs.half_width < _NARROW))
+        # planes of wider arcs are moved too far to bound anything
+        arcs = self.arcs.select(np.flatnonzero(self.arcs.half_width < 0.1))
         corners = (corners - self.centre) @ np.linalg.inv(self.shape)
         place = dot(arcs.points, arcs.across)
         far = np.maximum(highest(corners, arcs.across) - place, highest(corners, -arcs.across) + place)
         planes = np.column_stack([arcs.middle, dot(arcs.points, arcs.middle) + np.tan(arcs.half_width) * far])
         planes = planes[planes[:, 3] > NEGLIGIBLE]
         size = float(np.abs(corners).max())
-        found = cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, _SHALLOWEST)
+        found = cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, 1e-9)
         return np.asarray(found @ self.shape + self.centre)
 
     def normals(self) -> tuple[Array, Array]:

@@ -35,10 +35,8 @@ from scan3d.units import UNITS_M
 
 # Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
 _DIRECTIONS = 48
-# Cells between successive contacts of a sweep, and cells along the longest side of a window at most.
-_CELLS, _FINEST = 3, 400
-# Cells by which a contact may lie inside free space, by the cells' size and the rods' chords; deeper ones contradict it.
-_DEEPER = 2
+# Cells between successive contacts of a sweep.
+_CELLS = 3
 # Neighbours in the plane of a slice.
 _IN_PLANE = np.zeros((3, 3, 3), dtype=bool)
 _IN_PLANE[1] = ndimage.generate_binary_structure(2, 1)
@@ -216,7 +214,7 @@ def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float,
     height = heights[order][new]
     flat = cloud.points @ frame[:2].T
     low, high = flat.min(axis=0) - beyond, flat.max(axis=0) + beyond
-    cell = max(cell, float((high - low).max()) / _FINEST)
+    cell = max(cell, float((high - low).max()) / 400)
     shape = np.ceil((high - low) / cell).astype(int) + 5
     middle = (low + high) / 2
     origin = middle - (shape - 1) / 2 * cell
@@ -326,7 +324,8 @@ def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
 def contradicted(sheets: list[Sheets], cloud: Cloud) -> Mask:
     """Contacts (n,) that lie in the free space of their own slice, which no contact does."""
     wrong = np.zeros(len(cloud), dtype=bool)
-    disc = np.hypot(*(np.indices((2 * _DEEPER + 1,) * 2) - _DEEPER)) <= _DEEPER + 0.5
+    # a contact may lie inside free space by two cells, by their size and the rods' chords; deeper ones contradict it
+    disc = np.hypot(*(np.indices((5, 5)) - 2)) <= 2.5
     for sheet in sheets:
         rows, cells = _cells(sheet, cloud)
         wrong[rows] = ndimage.binary_erosion(sheet.free, disc[None], border_value=1)[tuple(cells)]

@@ -49,11 +49,6 @@ from scan3d.reconstruction.slices import Slice, SliceStack
 # sides those of the outer polygon's support function; none of these where the slice's contacts differ in height, because the
 # lines that meet in a corner then hold at different heights.
 _DIRECTIONS = 90
-# The rectangle about a slice's contacts is larger than they are by this fraction of their size, on each side; the second is
-# tried where the first is too small.
-_WIDENED = np.array([0.1, 2.0])
-# Times that the support lines are moved by the polygon of the lines before.
-_PASSES = 4
 # Support lines and directions of single contacts in a slice, and about as many averages of one size, at most: the time grows
 # with their number.
 _SINGLE = 1000
@@ -298,10 +293,11 @@ def _outer_lines(
         low, high = lines.points.min(axis=0), lines.points.max(axis=0)
         box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         normals = np.concatenate([lines.normals[single], averaged.normals, box_normals])
-        for widened in _WIDENED * float(np.linalg.norm(high - low)):
+        # by this fraction of the contacts' size, on each side; the second is tried where the first is too small
+        for widened in float(np.linalg.norm(high - low)) * np.array([0.1, 2.0]):
             box = np.concatenate([high + widened, -(low - widened)])
             found = polygon_of_lines(box_normals, box, inner.mean(axis=0))
-            for _ in range(_PASSES):
+            for _ in range(4):
                 if found is not None:
                     values = [lines.moved(found[0], single, kappa), averaged.moved(found[0]), box]
                     found = polygon_of_lines(normals, np.concatenate(values), inner.mean(axis=0))

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 # Points whose nearest ones are sought at once.
 _QUERIES = 100_000
-# Largest coordinate, and the inverse of the smallest extent.
-_LARGEST = 1e100
 
 
 def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
@@ -114,7 +112,7 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
             "check its file and its scale"
         )
     largest, extent = float(np.abs(box).max()), float((box[1] - box[0]).max())
-    if largest > _LARGEST or extent < 1 / _LARGEST:
+    if largest > 1e100 or extent < 1 / 1e100:
         raise InputError(
             f"the {name} has an extent of {extent:.3g} and coordinates up to {largest:.3g}, whose powers are no numbers of a "
             "computer; check its file and its scale"

@@ -42,8 +42,6 @@ AT_ONCE = 4
 _TIED_DECIMALS = 4
 # Slices on either side of a slab in the hull from which its gaps are measured.
 _BESIDE = 2
-# Halvings of the interval in which the least gap lies, and steps towards gaps with even neighbours: to rounding.
-_BISECTIONS, _EVENINGS = 60, 20
 
 
 def heights(low: float, high: float, plan: Plan) -> Array:
@@ -243,7 +241,7 @@ def least_parts(gaps: Array, left: int, most: Array, enough: float = 0.0) -> Arr
     """
     root = np.sqrt(gaps)
     low, high = float(np.sqrt(enough)), float(root.max(initial=0.0))
-    for _ in range(_BISECTIONS):
+    for _ in range(60):
         middle = (low + high) / 2
         fits = middle > 0 and (np.minimum(np.ceil(root / middle), most) - 1).clip(0).sum() <= left
         low, high = (low, middle) if fits else (middle, high)
@@ -289,7 +287,7 @@ def evened(gaps: Array) -> Array:
     """
     own = np.sqrt(gaps).clip(1e-100)
     roots = own
-    for _ in range(_EVENINGS):
+    for _ in range(20):  # to rounding
         a, b = np.pad(roots, (1, 0))[:-1], np.pad(roots, (0, 1))[1:]
         roots = own * np.sqrt((2 * roots + a + b) * roots / ((roots + a) * (roots + b)))
     return roots**2

@@ -404,10 +404,6 @@ def across(direction: Array) -> tuple[Array, Array]:
     return first, np.cross(direction, first)
 
 
-# Stretches of a slice that are aimed at in one round.
-_AT_ONCE = 3
-
-
 class Aim(NamedTuple):
     """A sweep at a stretch of a slice's outer contour; lengths in the cloud's unit."""
 
@@ -446,7 +442,7 @@ def aims(recording: Recording, cloud: Cloud) -> list[Aim]:
         )
         for k, level in enumerate(sheet.height):
             rows = np.flatnonzero((number == k) & (contours.distance > sheet.apart))
-            for _ in range(_AT_ONCE):
+            for _ in range(3):
                 if not len(rows):
                     break
                 widest = rows[contours.distance[rows].argmax()]

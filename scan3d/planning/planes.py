@@ -22,12 +22,10 @@ from scan3d.reconstruction.facets import POLYHEDRON, polyhedron
 
 FIRST_PART, FEW = 3 / 8, 64
 """Part of the slices, of so many at most, that go along one axis first, by which a body proves a polyhedron."""
-# Planes that are chosen at once, and places among which the other two of a plane are sought.
-_AT_ONCE, _AMONG = 3, 10
+# Places among which the other two of a plane are sought.
+_AMONG = 10
 # Part of the body's size below which a gap is none, and two corners are one.
 _NEAR = 1e-7
-# Least difference between the normals of slices in one of their components.
-_TURN = 0.01
 
 
 class Aims:
@@ -63,7 +61,7 @@ class Aims:
         order = order[np.unique(representatives(corners[order], _NEAR * size))]
         corners, places = corners[order], places[order]
         planes: list[Array] = []
-        while len(places) and len(planes) < min(_AT_ONCE, left):
+        while len(places) and len(planes) < min(3, left):
             normals = np.concatenate([cloud.slice_axis, np.reshape(planes, (-1, 4))[:, :3]])
             plane, through = _plane_of(places, cloud.points, normals, size)
             planes += [] if plane is None else [plane]
@@ -84,7 +82,7 @@ def _plane_of(places: Array, points: Array, normals: Array, size: float) -> tupl
     turn = np.minimum(*(np.abs(normal[:, None] + s * normals).max(axis=2).min(axis=1) for s in (-1, 1)))
     height = (points - places[0]) @ normal.T
     side = np.minimum(height.max(axis=0), -height.min(axis=0)) / np.ptp(height, axis=0)
-    side[~((np.linalg.norm(across, axis=1) > 0.01 * size**2) & (turn > _TURN))] = 0.0
+    side[~((np.linalg.norm(across, axis=1) > 0.01 * size**2) & (turn > 0.01))] = 0.0
     best = int(side.argmax())
     if not side[best] > 0.1:
         return None, [0]

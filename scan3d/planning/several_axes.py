@@ -27,9 +27,8 @@ from scan3d.reconstruction.slices import SliceStack, stacks
 
 # Slices inside the body along each axis with which a scan along several axes starts.
 FIRST_SLICES = 3
-# Gaps over the largest one of the cells whose corners are looked at for vertices, and their largest number.  More take
-# longer.
-_WIDE, _MOST = 0.1, 200
+# Gaps over the largest one of the cells whose corners are looked at for vertices.
+_WIDE = 0.1
 # Part of the body's size, of a gap, or of a radian that makes no difference, so that rounding does not choose between axes.
 _SAME = 1e-6
 
@@ -157,7 +156,8 @@ def _open(cloud: Cloud, by_axis: list[SliceStack], size: float, tolerance: float
     on_slice = (np.minimum(height - low, high - height) <= CLOSEST * size) & bounded[:, None]
     vertex = np.zeros(len(gap), dtype=bool)
     wide = np.flatnonzero(bounded & ~on_slice.any(axis=1) & (gap > _WIDE * gap.max(initial=0.0)))
-    for i in wide[np.argsort(-gap[wide], kind="stable")][:_MOST]:
+    # for speed, no more than 200
+    for i in wide[np.argsort(-gap[wide], kind="stable")][:200]:
         planes = found.planes[worst[i]]
         # a straight side of the body has contacts in three slices, in the planes that meet there
         near = np.abs(cloud.points @ planes[:, :3].T + planes[:, 3]) < 1e-7 * size

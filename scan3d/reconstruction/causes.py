@@ -53,12 +53,11 @@ _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 # Largest logarithm of a scale: larger ones make rods so long or forces so large that noise and rounding hide any misfit.
 _LARGEST_SCALE = 1.4
+# First estimates of turns, in radians.
 _ANGLES = np.radians(np.concatenate([sign * np.geomspace(2.0, 165.0, 12) for sign in (-1, 1)]))
-# Of rods: the logarithm of tip over clamp diameter, curvature in 1/L, and logarithms of weight in EI/L² and of compliance in
-# radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
-_CURVATURES = np.array([0.02, 0.3])
+# Of rods: logarithms of weight in EI/L² and of compliance in radians per EI/L, over a tenth.
 _TENTH, _SMALL, _LEAST_WEIGHT = 0.1, np.log([[0.1], [1.0]]), 1e-4
-_LARGEST_LOG, _WAYS = 9.0, np.array([0.003, 0.03])
+_LARGEST_LOG = 9.0
 
 
 class Diagnosis(NamedTuple):
@@ -262,7 +261,7 @@ def _late(recording: Recording) -> Cause:
         value, unit = (way / speed, "s") if speed else (1000 * way, "mm")
         return _named("delay", value, unit, text)
 
-    starts = np.concatenate([-_WAYS, _WAYS])[:, None]
+    starts = np.array([[-0.003], [-0.03], [0.003], [0.03]])
     return Cause(starts, lambda n: Undone(late=float(n[0])), named, 1)
 
 
@@ -326,7 +325,7 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
     def yielding(n: Array) -> Undone:
         return Undone(rod=replace(rod, clamp_compliance_rad_per_Nm=compliance(n)))
 
-    arcs = np.kron(np.eye(count), np.concatenate([-_CURVATURES, _CURVATURES])[:, None])
+    arcs = np.kron(np.eye(count), [[-0.02], [-0.3], [0.02], [0.3]])  # curvatures in 1/L
     found = [
         Cause(np.log([[0.5], [0.7], [0.95]]), tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
         Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),

@@ -52,11 +52,10 @@ _TIP = 0.02
 _SIGMAS = 3.0
 # Forces below this part of the largest one are rounding of a tare.
 _NO_FORCE = 1e-5
-# Starts that are refined of each fault, and evaluations of a refinement, fewer in a first search and of rods, which are slow
-# and nearly linear.
-_STARTS, _EVALUATIONS, _FEW = 2, 12, 4
-# Step of the derivatives by numbers, and steps in which the ends of an interval are sought.
-_STEP, _STEPS = 1e-3, 10
+# Evaluations of a refinement, fewer in a first search and of rods, which are slow and nearly linear.
+_EVALUATIONS, _FEW = 12, 4
+# Step of the derivatives by numbers.
+_STEP = 1e-3
 _UNKNOWN = Diagnosis(
     "unknown",
     None,
@@ -237,7 +236,7 @@ def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
     for cause in (cause for cause in tried if cause.starts.shape[1]):
         trials = [_Trial(cause, start, few.left(cause.undone(start))) for start in cause.starts]
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
-        best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else _STARTS]
+        best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else 2]
         rough.append(min((_refined(trial, few, _FEW) for trial in best), key=lambda trial: trial.misfit))
     return plain + [trial for trial in rough if trial.misfit <= least]
 
@@ -301,7 +300,7 @@ def _interval(trial: _Trial, sample: _Sample) -> tuple[float, float]:
     across = np.array(others).reshape(-1, len(numbers))
     for sign in (1.0, -1.0):
         way, step, best = 0.0, _STEP, np.zeros(len(across))
-        for _ in range(_STEPS):  # ever farther, and back by halves
+        for _ in range(10):  # ever farther, and back by halves
 
             def along(rest: Array, at: float = sign * (way + step)) -> Array:
                 return deviations(numbers + at * axis + rest @ across)

@@ -37,21 +37,11 @@ LARGEST_TOLERANCE = 0.5
 """Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
 # A contact counts as one of the tip if it lies within this many standard deviations of it, by the noise or by the calibration.
 _TIP_SIGMAS = 5.0
-# A contact is left out if the standard deviation of its place is larger than this many times the median, and than this fraction
-# of the rod's length: the rod touched too lightly, and it may lie far outside the body.
-_LIGHT, _TOLERABLE = 4.0, 1e-3
-# Part of a standard deviation by which the rig is changed in central differences: between their error and rounding.
-_STEP = 1e-2
-# Standard deviations by which a reaction is changed: about as many as all contacts stay within at once, so that what is not
-# linear in the error of a wrench is part of its effect.
-_FAR = 4.0
 # Which reactions each model reads, of the six.
 _REACTIONS = {"planar": IN_PLANE, "spatial": np.arange(6)}
 RIGHT_ROWS = 0.05
 """Right rows that are left out in a recording, in the mean, if each is judged once: fewer, and wild rows are not seen that make
 bounds false; more, and all bounds are widened for nothing."""
-# By how much the body may be wider than its contacts.
-_WIDENED = 1.1
 
 
 class NoContactError(InputError):
@@ -74,7 +64,8 @@ def too_light(largest: Array, touching: Mask) -> Mask:
     """(n,) which rows in contact touch too lightly, by the standard deviations (n,) of all places."""
     if not touching.any():
         return touching
-    return touching & (largest > max(_LIGHT * float(np.median(largest[touching])), _TOLERABLE))
+    # by 4 medians and a thousandth of the rod: such a contact may lie far outside the body
+    return touching & (largest > max(4.0 * float(np.median(largest[touching])), 1e-3))
 
 
 def felt(force: Array, noise: tuple[float, float]) -> Mask:
@@ -128,11 +119,14 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     moved: list[list[Array]] = [[], [], []]
     (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
     exact, right = np.zeros(len(RIG_QUANTITIES)), np.zeros(6)
-    errors = [(_STEP, component, right) for component in recording.rig.components().T]
+    # a step between the error of central differences and rounding
+    errors = [(1e-2, component, right) for component in recording.rig.components().T]
     size = np.zeros((len(rows), 1))
     if relative := recording.rig.relative:
         size = _size(recording, rows)[:, None]
-        errors += [(_FAR, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
+        # about as far as all contacts stay within at once, so that what is not linear in the error of a wrench is part
+        # of it
+        errors += [(4.0, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
 
     def changed(step: float, component: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
         wrench = force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]
@@ -245,9 +239,8 @@ def with_rig_errors(cloud: Cloud, recording: Recording) -> Cloud:
     # the contacts lie in an ellipsoid with their own axes of inertia
     shape = axes * np.sqrt(np.maximum(square, 0.0)) @ axes.T
     radius = float(np.linalg.norm((points - centre) @ np.linalg.pinv(shape), axis=1).max())
-    blocks = [
-        _of_block(cloud, recording, part, centre, _WIDENED * radius * shape) for part in _blocks(np.arange(len(cloud)))
-    ]
+    shape *= 1.1 * radius  # the body may be wider than its contacts
+    blocks = [_of_block(cloud, recording, part, centre, shape) for part in _blocks(np.arange(len(cloud)))]
     covariance, turn, across, tilt, height = (np.concatenate(column) for column in zip(*blocks, strict=True))
     relative, count = recording.rig.relative, recording.rig.components().shape[1]
     if relative:

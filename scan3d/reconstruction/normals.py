@@ -44,21 +44,12 @@ _DEGREES = (8, 16)
 _DEGREE_GAIN = 0.8
 # Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.
 _PER_COEFFICIENT, _TO_TRY = 4, 10
-# Normals that start the fit of a smooth body in space are known to at least this, in radians.
-_START = 0.03
-# The fit is repeated from its own normals at most this many times, while its error falls to this fraction.
-_REFITS, _GAIN = 6, 0.7
-# Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
-# edges whatever the degree.
-_EXACT_FIT, _SMALL, _HOPELESS = 1e-11, 1e-6, 2e-2
+# Error of a fit, in mean radii, above which a body has edges whatever the degree.
+_HOPELESS = 2e-2
 # Tangential contacts around a contact that show the error of fitted normals.
 _NEAREST = 12
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
-# Depth below a facet, in such at which a contact lies on it, from which on it lies inside the hull.
-_INSIDE = 1e3
-# Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
-_WIDE = 0.1
 # Contacts whose depths below all facets are computed at once, for memory.
 _BLOCK = 256
 
@@ -199,8 +190,8 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
     arcs = arcs_at(places.select(rows), tangents[rows], np.zeros(len(rows)), places.select(vertices), edges)
     known = np.isfinite(arcs.half_width)
     normal[rows[known]], half_width[rows[known]] = arcs.middle[known], arcs.half_width[known]
-    # tip contacts, and contacts inside faces and edges of the hull
-    rows = np.flatnonzero(half_width > _WIDE)
+    # tip contacts, contacts inside faces and edges of the hull, and those whose neighbours are too close to count
+    rows = np.flatnonzero(half_width > 0.1)
     axis, width, edge = _cones(hull, points[rows] - middle, NEGLIGIBLE * size)
     sharp = tangential[rows] & np.isfinite(edge[:, 0])
     # the supporting plane contains the edge and the tangent
@@ -245,8 +236,8 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
         middle[rows], edges[rows] = axis, edge
         angle = np.arccos(np.clip(smallest, -1.0, 1.0))
-        # a contact inside the hull contradicts the model
-        width[rows] = np.where(np.isfinite(angle) & (nearest <= _INSIDE * near), angle, np.inf)
+        # a contact inside the hull, far below what counts as on a facet, contradicts the model
+        width[rows] = np.where(np.isfinite(angle) & (nearest <= 1e3 * near), angle, np.inf)
     return middle, width, edges
 
 
@@ -302,8 +293,8 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
         if best is not None and not fit[1] < _DEGREE_GAIN * best[1]:
             break
         best = fit
-        # a higher degree would follow the noise
-        small = max(_SMALL, cloud.noise / _mean_radius(best[0]))
+        # a higher degree would follow the noise, or rounding
+        small = max(1e-6, cloud.noise / _mean_radius(best[0]))
         if not small < best[1] < _HOPELESS:
             break
     if best is None or not _is_smooth(best[0], best[1], cloud.noise):
@@ -328,14 +319,14 @@ class _Part(NamedTuple):
 def _converged(used: _Part, held_out: _Part, degree: int) -> tuple[SupportFit, float, tuple[_Part, _Part]]:
     """The fit of some degree to contacts, repeated from its own normals, its error at others, and the normals of both."""
     best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
-    for _ in range(1 + _REFITS):
+    for _ in range(7):
         fitted = fit_support(used.points, used.normals, degree, used.sd)
         used, held_out = used.followed(fitted), held_out.followed(fitted)
         error = _held_out_error(fitted, held_out.points, held_out.normals)
-        falling = best is None or error < _GAIN * best[1]
+        falling = best is None or error < 0.7 * best[1]
         if best is None or error < best[1]:
             best = fitted, error, (used, held_out)
-        if not falling or not _EXACT_FIT < error < _HOPELESS:
+        if not falling or not 1e-11 < error < _HOPELESS:
             break
     assert best is not None
     return best
@@ -368,7 +359,7 @@ def _start(cloud: Cloud) -> Array | None:
     normals = np.zeros_like(cloud.points)
     for k in range(3):
         np.add.at(normals, hull.simplices[:, k], area[:, None] * hull.equations[:, :3])
-    known = np.isfinite(cloud.normals[:, 0]) & (cloud.normal_sd < _START)
+    known = np.isfinite(cloud.normals[:, 0]) & (cloud.normal_sd < 0.03)
     normals[known] = cloud.normals[known]
     length = np.linalg.norm(normals, axis=1)
     placed = np.flatnonzero(length > 0)

@@ -47,9 +47,8 @@ LARGEST = 0.01
 """Largest relative error that is allowed for.  A recording with a larger one contradicts the model."""
 # A relative error so small that its effect is linear.
 _UNIT = 1e-5
-# Estimates with contacts that earlier ones have changed; an estimate that is not smaller than this part of the one before it is
-# the last one, and none counts as smaller than the other part of it, because an error that is too large leaves few lines.
-_PASSES, _SETTLED, _SMALLER = 6, 0.8, 0.25
+# Estimates with contacts that earlier ones have changed.
+_PASSES = 6
 
 
 def reconstruct(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
@@ -153,8 +152,9 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
             # what the noise may hide is allowed for as well
             largest = min(max(relative, hidden), LARGEST)
             found, least = replace(recording, rig=with_relative(recording.rig, largest)), relative
-        following = min(max(needed, _SMALLER * relative), LARGEST)
-        if _SETTLED * relative < following <= relative or following >= least:
+        # no estimate counts as much smaller, because an error that is too large leaves few lines; one that is hardly so ends
+        following = min(max(needed, 0.25 * relative), LARGEST)
+        if 0.8 * relative < following <= relative or following >= least:
             break
         relative = following
     return found
@@ -256,9 +256,6 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
 
 # Contacts of a group: the median follows none of the wild ones among them while these are fewer than half.
 _GROUP = 8
-# Standard deviations from which on a row is off, where the rows are judged that follow each other: 1 % of the right ones are.
-# Small errors of gains, rods and clamps leave such beside half of the wild rows or more, independent errors beside 12 %.
-_BESIDE = 3.0
 
 
 def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
@@ -283,7 +280,9 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
         return None
     left = np.flatnonzero(wild | short)
     share = float(pressed[left].sum() / pressed.sum())
-    if share <= LARGEST_SHARE and _alone(recording.sweep, value, wild, beyond > _BESIDE):
+    # small errors of gains, rods and clamps leave rows that are off by three standard deviations beside half of the
+    # wild ones or more, independent errors beside 12 %
+    if share <= LARGEST_SHARE and _alone(recording.sweep, value, wild, beyond > 3.0):
         # what is not seen of a wild row stays within κ of larger standard deviations
         return LeftOut(left, share, 1.5 * (size or 1.0))
     # what no right recording has must be explained, or nothing is certified

@@ -39,8 +39,6 @@ SAME_HEIGHT = NEGLIGIBLE
 LEVEL = 0.02
 """Slices that are tilted against the table by less, in radians, count as parallel to it: those of a clamp that is a little off
 would else lie along several axes, of which no one bounds the body."""
-# Side of a square that contains every section that slices bound, in widths of the contacts.
-_FAR = 1e3
 
 
 class Planes(NamedTuple):
@@ -412,7 +410,8 @@ def _section(stack: SliceStack, height: float) -> Array | None:
         sides = evenly(np.arange(len(here.angle)), 60)
         normals = np.stack([np.cos(here.angle[sides]), np.sin(here.angle[sides])], axis=1)
         secant = (here.value[sides] - behind.support_of_contacts(normals)) / (here.height - behind.height)
-        middle, size = here.points.mean(axis=0), _FAR * float(np.ptp(here.points, axis=0).max())
+        # a square that contains every section that slices bound
+        middle, size = here.points.mean(axis=0), 1e3 * float(np.ptp(here.points, axis=0).max())
         polygon: Array = middle + size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         for normal, value in zip(normals, here.value[sides] + secant * (height - here.height), strict=True):
             polygon = _clipped(polygon, normal, float(value))

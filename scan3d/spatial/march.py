@@ -29,10 +29,8 @@ from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
 _BLOCK = 512
-# Rounds of an iteration at most, and the change that ends it; degrees of the polynomials in the direction of gravity, of which
-# the first that fits so well is taken, and the misfit of the last beyond which a rod is too heavy for them.
+# Rounds of an iteration at most, and the change that ends it.
 _ROUNDS, _SETTLED = 40, 1e-12
-_DEGREES, _AGREED = (8, 12, 16, 24), 1e-9
 # Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
 _M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
 
@@ -209,7 +207,7 @@ def _overhang(rod: SpatialRod) -> Overhang:
     """
     if rod.profile.weight == 0:
         return lambda s, state: np.zeros((3, state.shape[1]))
-    for degree in _DEGREES:
+    for degree in (8, 12, 16, 24):  # the first that fits is taken
         tips = np.zeros((16, 2 * (degree + 1) ** 2))
         tips[_G], tips[_Q.start] = sphere_directions(tips.shape[1]), 1.0
         clamp = tips
@@ -218,7 +216,7 @@ def _overhang(rod: SpatialRod) -> Overhang:
         misfit = float(np.abs(_harmonics(clamp[_G], degree).T @ _fitted(clamp, degree) - clamp[_M].T).max())
         if misfit < _SETTLED:
             break
-    if not misfit < _AGREED:
+    if not misfit < 1e-9:
         raise ValueError(f"a rod of weight {rod.profile.weight:g} EI/L² bends too much under it; is it so heavy?")
     series = along(rod.profile, partial(_step, rod), tips, partial(_fitted, degree=degree))
 

@@ -29,8 +29,6 @@ from scipy.ndimage import uniform_filter1d
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, unit
 
-# Widths of the windows for exact data.
-_WIDTHS = (3, 5, 7, 9)
 # Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
 # three times as large.
 _ROUGH = 3.0
@@ -268,7 +266,7 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
     # windows for polynomials of a degree; those of a degree higher by two, which alters the slope in a window's middle,
     # show their truncation
     noisy = [(width, degree) for degree in (2, 4) for width in (5, 7, 11, 17, 27, 41) if width > degree + 1]
-    for width, degree in [(width, 0) for width in _WIDTHS] if covariance is None else noisy:
+    for width, degree in [(width, 0) for width in (3, 5, 7, 9)] if covariance is None else noisy:
         every = windows(starts, width)
         for part in np.array_split(np.arange(len(every.rows)), max(1, len(every.rows) // 20_000)):
             rows, members, own = (column[part] for column in every)

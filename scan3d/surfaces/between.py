@@ -312,8 +312,6 @@ class _End:
 
 # Distance from a plane, in diagonals, of the contacts that lie in it.
 _PLANE = 5e-6
-# Contacts beside a place whose normals tell how the body is bent there.
-_BESIDE = 32
 
 
 def curved(cloud: Cloud) -> Any:
@@ -350,7 +348,7 @@ def _room(cloud: Cloud, beside: Index, places: Array, outward: Array) -> Array:
     of the facets on both sides, `beside` (n, 4), know better.
     """
     known = np.arange(len(cloud.points)) if cloud.normal_sd is None else _well_known(cloud)
-    near = known[cKDTree(cloud.points[known]).query(places, k=np.arange(1, min(_BESIDE, len(known)) + 1))[1]]
+    near = known[cKDTree(cloud.points[known]).query(places, k=np.arange(1, min(32, len(known)) + 1))[1]]
     room = np.full(len(places), np.inf)
     for rows in np.column_stack([near, beside]).T:
         step = cloud.points[rows] - places

@@ -35,7 +35,6 @@ KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
 _JOGGLE, _SEED = 1e-4, 0
 # Distance from a contact, in spacings, up to which it supports a contour.
 _SUPPORTED = 1.5
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 # Edges of a tetrahedron, and the corners that each does not have, opposite which lie the faces that contain it.
 _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
@@ -202,7 +201,8 @@ def _border(body: Mask, points: Array, corners: Index, neighbours: Index) -> tup
     """Faces (f, 3), outward, between the body and the rest, and the tetrahedra (f,) of the body that they belong to."""
     outside = np.where(neighbours >= 0, ~body[neighbours], True)
     owner, column = np.nonzero(body[:, None] & outside)
-    faces = corners[owner[:, None], _FACES[column]]
+    opposite = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    faces = corners[owner[:, None], opposite[column]]
     a, b, c = points[faces.T]
     inwards = ((np.cross(b - a, c - a)) * (points[corners[owner, column]] - a)).sum(axis=1) > 0
     faces[inwards] = faces[inwards, ::-1]

@@ -29,8 +29,8 @@ from scan3d.geometry.triangles import areas, kept_apart, without_unused
 
 # Multiples to which coordinates are rounded, over the cloud's size.
 _GRID = 2.0**-30
-# Side of Poisson's cube, in widths of the cloud, and the largest depth of its octree, which takes gigabytes beyond.
-_CUBE, _DEEPEST = 3.0, 10
+# Side of Poisson's cube, in widths of the cloud.
+_CUBE = 3.0
 
 
 def check_method(method: str) -> None:
@@ -54,7 +54,8 @@ def poisson(points: Array, normals: Array) -> Any:
     """
     cloud, o3d = _even(points, normals), _open3d()
     cells = _CUBE * float(np.ptp(cloud.points, axis=0).max()) / cloud.spacing
-    depth = min(math.floor(math.log2(cells)) + 1, _DEEPEST)
+    # a deeper octree takes gigabytes
+    depth = min(math.floor(math.log2(cells)) + 1, 10)
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         # several threads would add in an order that varies
         made, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
