@@ -325,7 +325,7 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
     def yielding(n: Array) -> Undone:
         return Undone(rod=replace(rod, clamp_compliance_rad_per_Nm=compliance(n)))
 
-    arcs = np.kron(np.eye(count), [[-0.02], [-0.3], [0.02], [0.3]])  # curvatures in 1/L
+    arcs = np.kron(np.eye(count), np.array([[-0.02], [-0.3], [0.02], [0.3]]))  # curvatures in 1/L
     found = [
         Cause(np.log([[0.5], [0.7], [0.95]]), tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
         Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),
