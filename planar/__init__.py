@@ -37,10 +37,9 @@ from planar.hidden import (
 )
 from planar.landmarks import ElasticLines, EventKind, Events, elastic_lines, events
 from planar.march import free_reactions
-from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
+from planar.reconstruction import TOLERANCE, Contacts, Errors, NormalSource, Status, errors, jacobian, reconstruct
 from planar.rods import Rod
 from planar.sweeping import Phase, Sweep, sweep, sweep_all
-from planar.uncertainty import Errors, errors, jacobian
 
 __all__ = [
     "TOLERANCE",

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar.arrays import Array, Index, Mask, ratio
-from planar.loops import Nearest, Outlines
+from planar.contours import Nearest, Outlines
 from planar.plots import Explained
 from planar.several import LINKS, MOST, Rods, Settled, chain_points, free_rods, settle, shapes, solve
 from planar.singles import INSIDE, JUMP, Singles, Start

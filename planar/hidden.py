@@ -34,9 +34,8 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions, ratio
 from planar.elastica import piece
-from planar.reconstruction import Contacts
+from planar.reconstruction import Contacts, Errors
 from planar.sweeping import Phase
-from planar.uncertainty import Errors
 
 # Friction angle, in radians, up to which contacts agree on theirs, and standard deviations of a test on noisy contacts.
 _AGREES, _DEVIATIONS = 1e-6, 5.0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planar import equilibria, march
+from planar import march, segments
 from planar.arrays import Array, Index, Mask
 from planar.contours import Path
 from planar.rods import Rod
@@ -194,8 +194,8 @@ def table(rod: Rod, sweeps: Course) -> Table:
     place = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)).astype(float)
     course = sweeps.rows(owner)
     slope, x, y = course.at(place)
-    tangential = equilibria.is_tangential(slope, y, course.friction_angle)
-    uniform = equilibria.states(tangential, slope, x, y, course.friction_angle)
+    tangential = segments.is_tangential(slope, y, course.friction_angle)
+    uniform = segments.states(tangential, slope, x, y, course.friction_angle)
     alpha = slope + course.friction_angle
     k = np.sqrt(np.sin(alpha / 2) ** 2 + uniform.q**2)
     tip_slope = alpha + np.pi / 2 - 2 * np.arcsin(np.minimum(k, 1.0))  # (12)

@@ -3,6 +3,10 @@
 Along the path the base position ``x0`` of the equilibria falls, but not everywhere: it has local minima (folds), and its
 rate jumps where tip and tangential contact change into each other.  The path is cut there and at the ends of its pieces.
 All computations run over flat arrays: the rows of many sweeps, distinguished by their owner.
+
+At a given place the rod is in tangential contact (7) or in tip contact (6).  A place is a slope angle ``α̃`` and a point ``(ξ, η)``; with the friction angle ``ζ`` the contact force has the direction
+``α = α̃ + ζ`` (2).  The base position ``x0`` follows from the place, not the other way round, so that no continuation
+in ``x0`` is needed: tangential contact is explicit, tip contact one scalar root.
 """
 
 from __future__ import annotations
@@ -12,10 +16,172 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planar import equilibria
 from planar.arrays import Array, Index, Mask, ratio
 from planar.contours import Path
-from planar.elastica import bend_with_slopes
+from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
+
+# Angle to the vertical, in radians, below which the limit of the straight rod is used, where the closed form is 0/0.
+_UPRIGHT = 1e-7
+# Residual of y1 = η, in rod lengths, at which the iteration for a tip contact ends: rounding.
+_HEIGHT_ROUNDING = 4 * np.finfo(float).eps
+
+
+class State(NamedTuple):
+    """Equilibria (n,), dimensionless; NaN where no equilibrium exists."""
+
+    x0: Array
+    """Base position."""
+    q: Array
+    """``m0z / (2 √f)``."""
+    root_f: Array
+    """``√f``."""
+    s1: Array
+    """Contact along the rod."""
+    x0_slope: Array
+    """Change of x0 with the slope at a fixed point, as at a vertex."""
+    x0_arc: Array
+    """Change of x0 with the arc length along the tangent at a fixed slope, as on an edge."""
+
+
+def is_tangential(slope: Array, y: Array, friction_angle: Array) -> Mask:
+    """Whether the rod is long enough to touch the place tangentially (``s1 <= 1``); otherwise only its tip can touch it."""
+    return overhang(slope, y, friction_angle) <= 0
+
+
+def overhang(slope: Array, y: Array, friction_angle: Array) -> Array:
+    """Height of the place above that of a rod whose tip touches tangentially, in rod lengths: positive in tip contact."""
+    shape = bend(slope + friction_angle, tangential_q(slope, friction_angle))
+    height = np.where(slope > np.pi / 2 - _UPRIGHT, 1.0, ratio(shape.y, shape.length))
+    # only the straight rod reaches y = 1, and only with its tip
+    return np.where(y >= 1.0, np.maximum(y - height, np.finfo(float).eps), y - height)
+
+
+def tangential(slope: Array, x: Array, y: Array, friction_angle: Array) -> State:
+    """Tangential contact: ``φ1 = α̃`` fixes the rod's shape, the height of the contact its scale."""
+    alpha = slope + friction_angle
+    q = tangential_q(slope, friction_angle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bent = bend_with_slopes(alpha, q)
+        shape = bent.shape
+        lean = shape.x / shape.y
+        q_alpha = -np.sin(alpha) / (4 * q)
+        shape_x = bent.x_alpha + bent.x_q * q_alpha
+        shape_y = bent.y_alpha + bent.y_q * q_alpha
+        lean_slope = (shape_x - lean * shape_y) / shape.y
+        root_f = shape.y / y
+        s1 = shape.length / root_f
+    # upright: a cantilever under a small end load, turned by 3/2 of its deflection over its length
+    steepness = np.pi / 2 - slope
+    upright = steepness < _UPRIGHT
+    lean = np.where(upright, 2 / 3 * steepness, lean)
+    lean_slope = np.where(upright, -2 / 3, lean_slope)
+    s1 = np.where(upright, y, s1)
+    root_f = np.where(q == 0, 0.0, root_f)
+    return State(x - y * lean, q, root_f, s1, -y * lean_slope, np.cos(slope) - lean * np.sin(slope))
+
+
+def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None = None) -> State:
+    """Tip contact, ``s1 = 1``: the root ``q`` of ``y1(q) = η`` where not given, on the branch without inflections."""
+    alpha = slope + friction_angle
+    q = np.full(alpha.shape, np.nan) if q is None else q.copy()
+    unknown = np.isnan(q)
+    q[unknown] = _tip_root(alpha[unknown], y[unknown], tangential_q(slope, friction_angle)[unknown])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bent = bend_with_slopes(alpha, q)
+        ratios = tip_ratios(bent)
+        x0_height = -ratios.lean_q / ratios.height_q
+    straight = (q == 0) & (alpha > 0)
+    lean = np.where(straight, 0.0, ratios.lean)
+    lean_alpha = np.where(straight, 0.0, ratios.lean_alpha)
+    root_f = np.where(straight, 0.0, bent.shape.length)
+    # at touch-down x0 varies with the square root of the height: an infinite rate
+    x0_height = np.where(straight, np.inf, x0_height)
+    height_alpha = np.where(straight, 0.0, ratios.height_alpha)
+    with np.errstate(invalid="ignore"):
+        x0_slope = np.where(straight, 0.0, -lean_alpha - height_alpha * x0_height)
+        x0_arc = np.cos(slope) + np.where(np.sin(slope) == 0, 0.0, np.sin(slope) * x0_height)
+    s1 = np.where(np.isnan(lean), np.nan, 1.0)
+    return State(x - lean, q, root_f, s1, x0_slope, x0_arc)
+
+
+def states(
+    tangential_contact: Mask,
+    slope: Array,
+    x: Array,
+    y: Array,
+    friction_angle: Array,
+    q: Array | None = None,
+) -> State:
+    """`tangential` where the mask is set, else `tip` (with q as known where it is given and not NaN)."""
+    combined = State._make(np.full(len(slope), np.nan) for _ in State._fields)
+    for mask in (tangential_contact, ~tangential_contact):
+        if not mask.any():
+            continue
+        place = (slope[mask], x[mask], y[mask], friction_angle[mask])
+        part = tangential(*place) if mask is tangential_contact else tip(*place, None if q is None else q[mask])
+        for column, values in zip(combined, part, strict=True):
+            column[mask] = values
+    return combined
+
+
+class TipRatios(NamedTuple):
+    """Place of a rod's contact relative to its clamp, over ``s1``, and the partial derivatives in ``α`` and ``q``."""
+
+    lean: Array
+    """``(x1 - x0)/s1``"""
+    lean_alpha: Array
+    lean_q: Array
+    height: Array
+    """``y1/s1``"""
+    height_alpha: Array
+    height_q: Array
+
+
+def tip_ratios(bent: ShapeSlopes) -> TipRatios:
+    """The ratios of bent rods: with ``s1 = 1`` in tip contact they are the place of the tip itself."""
+    shape = bent.shape
+    lean, height = shape.x / shape.length, shape.y / shape.length
+    return TipRatios(
+        lean=lean,
+        lean_alpha=(bent.x_alpha - lean * bent.length_alpha) / shape.length,
+        lean_q=(bent.x_q - lean * bent.length_q) / shape.length,
+        height=height,
+        height_alpha=(bent.y_alpha - height * bent.length_alpha) / shape.length,
+        height_q=(bent.y_q - height * bent.length_q) / shape.length,
+    )
+
+
+def _tip_root(alpha: Array, height: Array, q_upper: Array) -> Array:
+    """Root q of ``y1/s1 = height`` in [0, q_upper]: Newton in q², in which the height is nearly linear, else bisection."""
+    top = unbowed_height(alpha)
+    shape = bend(alpha, q_upper)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bottom = shape.y / shape.length
+        estimate = q_upper**2 * (top - height) / (top - bottom)
+    root = np.full(alpha.shape, np.nan)
+    straight = (alpha > 0) & (np.abs(height - 1.0) <= _HEIGHT_ROUNDING)
+    root[straight] = 0.0
+    at_transition = ~straight & (np.abs(height - bottom) <= _HEIGHT_ROUNDING)
+    root[at_transition] = q_upper[at_transition]
+    rows = np.flatnonzero(~straight & ~at_transition & (height < top) & (height > bottom))
+    alpha, height, value = alpha[rows], height[rows], estimate[rows]
+    low, high = np.zeros(len(rows)), q_upper[rows] ** 2
+    for _ in range(100):  # in 300,000 random contacts at most 32 steps were needed
+        if not len(rows):
+            break
+        q = np.sqrt(value)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = tip_ratios(bend_with_slopes(alpha, q))
+            excess = ratios.height - height
+            low, high = np.where(excess > 0, value, low), np.where(excess > 0, high, value)
+            following = value - excess * 2 * q / ratios.height_q
+        following = np.where((following > low) & (following < high), following, (low + high) / 2)
+        root[rows] = q
+        active = (np.abs(excess) > _HEIGHT_ROUNDING) & (high - low > _HEIGHT_ROUNDING * high)
+        rows, alpha, height = rows[active], alpha[active], height[active]
+        low, high, value = low[active], high[active], following[active]
+    return root
+
 
 _EPS = float(np.finfo(float).eps)
 
@@ -63,12 +229,12 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
     at_end = np.insert(row[1:] == row[:-1], 0, False)
     start = np.flatnonzero(~at_end)
     slope, x, y = path.at(piece[row], at_end.astype(float))
-    tangential = equilibria.is_tangential(slope, y, friction_angle[row])
-    state = equilibria.states(tangential, slope, x, y, friction_angle[row])
+    along_rod = is_tangential(slope, y, friction_angle[row])
+    state = states(along_rod, slope, x, y, friction_angle[row])
     segments = Segments(
         owner,
         piece,
-        tangential[start],
+        along_rod[start],
         friction_angle,
         np.tile([0.0, 1.0], (len(owner), 1)),
         np.stack([state.x0[start], state.x0[start + 1]], axis=1),
@@ -77,7 +243,7 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
         ),
         np.stack([state.q[start], state.q[start + 1]], axis=1),
     )
-    segments, tangential_at_end = _cut_at_short_tangencies(path, segments, tangential[start + 1])
+    segments, tangential_at_end = _cut_at_short_tangencies(path, segments, along_rod[start + 1])
     segments = _cut_at_transitions(path, segments, tangential_at_end)
     return _cut_at_folds(path, segments)
 
@@ -117,23 +283,22 @@ def _cut_at_short_tangencies(path: Path, segments: Segments, tangential_at_end: 
     rows = np.flatnonzero(~segments.tangential & ~tangential_at_end)
     piece, zeta = segments.piece[rows], segments.friction_angle[rows]
 
-    def overhang(t: Array) -> Array:
+    def above(t: Array) -> Array:
         slope, _, y = path.at(piece, t)
-        return equilibria.overhang(slope, y, zeta)
+        return overhang(slope, y, zeta)
 
-    # the minimum of the overhang, from parabolas through three points about the previous estimate
+    # the minimum of the overhang, from parabolas through three points about the previous estimate, each narrower than the one
+    # before: an inexact minimum would overlook short tangential contacts
     t, width = np.full(len(rows), 0.5), 0.5
-    # parabolas through the overhang, each narrower than the one before: an inexact minimum would overlook short
-    # tangential contacts
     for _ in range(4):
-        before, here, after = overhang(t - width), overhang(t), overhang(t + width)
+        before, here, after = above(t - width), above(t), above(t + width)
         step = ratio(before - after, before + after - 2 * here) / 2
         t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / 8
         t = np.clip(t, width, 1 - width)
-    touches = overhang(t) < 0
+    touches = above(t) < 0
     rows, t, piece, zeta = rows[touches], t[touches], piece[touches], zeta[touches]
     slope, x, y = path.at(piece, t)
-    state = equilibria.tangential(slope, x, y, zeta)
+    state = tangential(slope, x, y, zeta)
     rate = _rate(path, piece, slope, state.x0_slope, state.x0_arc)
     parts = _cut_rows(segments, rows, t, state.x0, np.stack([rate, rate], axis=1), state.q)
     parts.tangential[rows + np.arange(len(rows)) + 1] = True
@@ -147,19 +312,19 @@ def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask)
         return segments
     piece, zeta = segments.piece[rows], segments.friction_angle[rows]
 
-    def overhang(t: Array, piece: Index, zeta: Array) -> Array:
+    def above(t: Array, piece: Index, zeta: Array) -> Array:
         slope, _, y = path.at(piece, t)
-        return equilibria.overhang(slope, y, zeta)
+        return overhang(slope, y, zeta)
 
     low, high = segments.t[rows].T
-    t = _find_root(overhang, (low, high), args=(piece, zeta)).x
+    t = _find_root(above, (low, high), args=(piece, zeta)).x
     slope, x, y = path.at(piece, t)
-    tangential = equilibria.tangential(slope, x, y, zeta)
-    tip = equilibria.tip(slope, x, y, zeta, tangential.q)
-    rate = np.stack([_rate(path, piece, slope, state.x0_slope, state.x0_arc) for state in (tangential, tip)], axis=1)
+    along = tangential(slope, x, y, zeta)
+    states = along, tip(slope, x, y, zeta, along.q)
+    rate = np.stack([_rate(path, piece, slope, state.x0_slope, state.x0_arc) for state in states], axis=1)
     tangential_first = segments.tangential[rows]
     rate[~tangential_first] = rate[~tangential_first, ::-1]
-    parts = _cut_rows(segments, rows, t, tangential.x0, rate, tangential.q)
+    parts = _cut_rows(segments, rows, t, along.x0, rate, along.q)
     parts.tangential[rows + np.arange(len(rows)) + 1] = ~tangential_first
     return parts
 
@@ -175,7 +340,7 @@ def _cut_at_folds(path: Path, segments: Segments) -> Segments:
 
     def rate(t: Array, piece: Index, zeta: Array, kind: Mask, low: Array, high: Array) -> Array:
         slope, x, y = path.at(piece, t)
-        state = equilibria.states(kind, slope, x, y, zeta)
+        state = states(kind, slope, x, y, zeta)
         # infinite at touch-down, NaN beyond the end of the equilibria: only the sign matters there
         value = np.clip(np.nan_to_num(_rate(path, piece, slope, state.x0_slope, state.x0_arc), nan=1.0), -1.0, 1.0)
         # the signs at the ends are known, and rounding must not change them
@@ -184,11 +349,11 @@ def _cut_at_folds(path: Path, segments: Segments) -> Segments:
     root = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
     # Equilibria on the side on which x0 rises are unstable: the cut lies on the other side of the minimum.
     t = np.where(root.f_x > 0, root.bracket[0], root.x)
-    state = equilibria.states(kind, *path.at(piece, t), zeta)
+    state = states(kind, *path.at(piece, t), zeta)
     return _cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
 
 
-def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Array, equilibria.State]:
+def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Array, State]:
     """Parameter t (n,) and state (n,) at which x0 has come down to `target` (n,) on the segments `row` (n,).
 
     Newton's method in the place t, for tip contact together with the bend q, starting from an interpolation; samples
@@ -223,7 +388,7 @@ def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Ar
         at_end = target == segments.x0[row, end]
         t = np.where(at_end, segments.t[row, end], t)
         q = np.where(at_end, segments.q[row, end], q)
-    return t, equilibria.states(kind, *path.at(piece, t), zeta, q)
+    return t, states(kind, *path.at(piece, t), zeta, q)
 
 
 def _newton_step(
@@ -234,23 +399,23 @@ def _newton_step(
     t_step, q_step, residual = np.empty(len(piece)), np.zeros(len(piece)), np.empty(len(piece))
     with np.errstate(divide="ignore", invalid="ignore"):
         if kind.any():
-            state = equilibria.tangential(slope[kind], x[kind], y[kind], zeta[kind])
+            state = tangential(slope[kind], x[kind], y[kind], zeta[kind])
             excess = state.x0 - target[kind]
             t_step[kind] = -excess / (state.x0_slope * turn[kind] + state.x0_arc * arc[kind])
             residual[kind] = np.abs(excess)
-        tip = ~kind
-        if tip.any():
-            slope, turn, arc = slope[tip], turn[tip], arc[tip]
-            bent = bend_with_slopes(slope + zeta[tip], q[tip])
-            ratios = equilibria.tip_ratios(bent)
+        by_tip = ~kind
+        if by_tip.any():
+            slope, turn, arc = slope[by_tip], turn[by_tip], arc[by_tip]
+            bent = bend_with_slopes(slope + zeta[by_tip], q[by_tip])
+            ratios = tip_ratios(bent)
             # two equations, x0 = target and y1 = η, in t and q
-            excess, height_excess = x[tip] - ratios.lean - target[tip], ratios.height - y[tip]
+            excess, height_excess = x[by_tip] - ratios.lean - target[by_tip], ratios.height - y[by_tip]
             excess_t = np.cos(slope) * arc - ratios.lean_alpha * turn
             height_excess_t = ratios.height_alpha * turn - np.sin(slope) * arc
             determinant = excess_t * ratios.height_q + ratios.lean_q * height_excess_t
-            t_step[tip] = -(excess * ratios.height_q + ratios.lean_q * height_excess) / determinant
-            q_step[tip] = (excess * height_excess_t - excess_t * height_excess) / determinant
-            residual[tip] = np.maximum(np.abs(excess), np.abs(height_excess))
+            t_step[by_tip] = -(excess * ratios.height_q + ratios.lean_q * height_excess) / determinant
+            q_step[by_tip] = (excess * height_excess_t - excess_t * height_excess) / determinant
+            residual[by_tip] = np.maximum(np.abs(excess), np.abs(height_excess))
     return t_step, q_step, residual
 
 
@@ -274,7 +439,7 @@ def _bracketed(path: Path, piece: Index, kind: Mask, zeta: Array, low: Array, hi
     """The parameter t between `low` and `high` at which x0 equals `target`."""
 
     def excess(t: Array, piece: Index, kind: Mask, zeta: Array, target: Array) -> Array:
-        return equilibria.states(kind, *path.at(piece, t), zeta).x0 - target
+        return states(kind, *path.at(piece, t), zeta).x0 - target
 
     root = _find_root(excess, (low, high), args=(piece, kind, zeta, target))
     # next to a fold rounding may change the sign at the end, so that no interval is left: then that end is the root

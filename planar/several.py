@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numpy as np
 
 from planar.arrays import Array, Index, Mask
+from planar.contours import Nearest, Outlines, Place
 from planar.elastica import End, piece
-from planar.loops import Nearest, Outlines, Place
 
 # Contacts of one rod, at most: with more it is reported as not resolved.
 MOST = 3

@@ -24,9 +24,8 @@ import numpy as np
 
 from planar import segments
 from planar.arrays import BLOCK, Array, Index, Mask, ratio
-from planar.contours import Path, subdivided
+from planar.contours import Outlines, Path, subdivided
 from planar.elastica import piece
-from planar.loops import Outlines
 from planar.several import Rods, free_rods
 
 JUMP = 0.03

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from planar import plots, rod_sweeps, segments
 from planar.any_body import SweepStatus, follow, last_contacts
 from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
-from planar.contours import Contour, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
-from planar.loops import Outlines
+from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import counted, to_frame, words
 from planar.rods import Rod
 from planar.segments import Segments, cut_intervals

@@ -55,7 +55,7 @@ class Tilt(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Rows of a recording that contradict the rest (`scan3d.reconstruction.relative`)."""
+    """Rows of a recording that contradict the rest (`scan3d.reconstruction.agreement`)."""
 
     rows: Index
     """(w,) their numbers, from 0."""

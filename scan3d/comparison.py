@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import SOME, Array, Index, weighted_quantiles
-from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
+from scan3d.geometry.hulls import CONVEX_DEPTH
 from scan3d.geometry.triangles import areas, dot, halve
 from scan3d.shown import Described, Rows, described
 from scan3d.units import angle, length, number, point, share

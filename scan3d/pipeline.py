@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
-from scan3d.bounds.reach import reach as within_reach
+from scan3d.bounds.free_space import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_with_points
@@ -27,7 +27,7 @@ from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
-from scan3d.geometry.convexity import HULL_OF_MESH
+from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.parts import Scene, of_cloud

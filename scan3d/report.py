@@ -17,11 +17,11 @@ import numpy as np
 import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
-from scan3d.bounds.reach import Reach
+from scan3d.bounds.free_space import Reach
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.files.whole import SCHEMA
-from scan3d.geometry.convexity import HULL_OF_MESH
+from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows

@@ -12,7 +12,7 @@ import shooting
 from scipy.integrate import solve_ivp
 
 import planar
-from planar import equilibria
+from planar import segments
 from planar.elastica import bend
 
 AGREES = 1e-12
@@ -36,7 +36,7 @@ class Equilibria(NamedTuple):
     zeta: np.ndarray
     point: np.ndarray
     tangential: np.ndarray
-    state: equilibria.State
+    state: segments.State
 
     @property
     def alpha(self):
@@ -51,7 +51,7 @@ class Equilibria(NamedTuple):
         return 2 * self.state.q * self.state.root_f
 
     def __getitem__(self, rows):
-        state = equilibria.State._make(column[rows] for column in self.state)
+        state = segments.State._make(column[rows] for column in self.state)
         return Equilibria(self.slope[rows], self.zeta[rows], self.point[rows], self.tangential[rows], state)
 
 
@@ -67,8 +67,8 @@ def random_equilibria():
     x, y = rng.normal(size=count), rng.uniform(0.05, 1.0, count)
     close = np.arange(count) % 8 == 1  # the same for tip contact
     y[close] = 1 - 10 ** rng.uniform(-12, -1, close.sum())
-    tangential = equilibria.is_tangential(slope, y, zeta)
-    state = equilibria.states(tangential, slope, x, y, zeta)
+    tangential = segments.is_tangential(slope, y, zeta)
+    state = segments.states(tangential, slope, x, y, zeta)
     exists = np.isfinite(state.x0) & (state.root_f > 0)
     chosen = np.concatenate([np.flatnonzero(exists & tangential)[:5000], np.flatnonzero(exists & ~tangential)[:5000]])
     assert len(chosen) == 10_000

@@ -8,8 +8,7 @@ from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud, unit
 
 from planar import Phase
-from scan3d.bounds.apexes import best_apexes, cover, thinned
-from scan3d.bounds.constraints import Tangents
+from scan3d.bounds.constraints import Tangents, best_apexes, cover, thinned
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
 

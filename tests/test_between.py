@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.between import _local, contours_between
+from scan3d.surfaces.estimates import _local, contours_between
 
 
 def stack_of(heights, support):

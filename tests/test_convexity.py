@@ -22,7 +22,7 @@ from shapes import (
 )
 
 from scan3d.files.meshes import load_mesh, read_mesh
-from scan3d.geometry.convexity import (
+from scan3d.geometry.hulls import (
     CONVEX_DEPTH,
     DENT_TOLERANCE,
     against_hull,
@@ -75,14 +75,14 @@ def test_the_meshes_that_come_along_are_as_convex_as_by_qhull(path, monkeypatch)
     assert above.max() <= 0  # the planes support the hull
     assert above.max(axis=0).min() > -1e-8
     verdict = against_hull(facets)[1] <= CONVEX_DEPTH
-    monkeypatch.setattr("scan3d.geometry.convexity.planes_by_edges", lambda *_: (np.empty((0, 4)), np.inf))
+    monkeypatch.setattr("scan3d.geometry.hulls.planes_by_edges", lambda *_: (np.empty((0, 4)), np.inf))
     assert verdict
     assert verdict == (against_hull(facets)[1] <= CONVEX_DEPTH)
 
 
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_a_strictly_convex_body_is_its_hull_to_rounding_and_qhull_is_not_asked(inside_out, monkeypatch):
-    monkeypatch.setattr("scan3d.geometry.convexity.ConvexHull", None)
+    monkeypatch.setattr("scan3d.geometry.hulls.ConvexHull", None)
     body = moved(ball(3, 500), (5.0, 6.0, 7.0), rotation=rotation(2))
     body = trimesh.Trimesh(body.vertices, body.faces[:, ::-1] if inside_out else body.faces, process=False)
     facets = facets_of(body)

@@ -7,7 +7,7 @@ from shapes import cassini
 import planar
 from planar import SweepStatus
 from planar.any_body import follow
-from planar.loops import Outlines
+from planar.contours import Outlines
 from planar.several import shapes
 
 

@@ -14,12 +14,12 @@ from scan3d.geometry.sections import extent_along
 from scan3d.planning.heights import (
     BEYOND,
     FIRST_SLICES,
+    FIRST_TOGETHER,
     cuts,
     first_heights,
     heights,
+    next_slices,
 )
-from scan3d.planning.several_axes import FIRST_SLICES as FIRST_TOGETHER
-from scan3d.planning.several_axes import next_slices
 from scan3d.reconstruction.contacts import contacts
 from scan3d.simulation.scan import AxisScan
 from scan3d.surfaces import Gap, enclosure

@@ -18,8 +18,8 @@ from scan3d import pipeline
 from scan3d.bounds.free_space import rods_of
 from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.geometry import sections
-from scan3d.geometry.convexity import is_convex, runs_both_ways
 from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import is_convex, runs_both_ways
 from scan3d.geometry.sections import slice_frame, slice_outlines
 from scan3d.pictures.parts import shown_sweep
 

@@ -11,7 +11,7 @@ from shapes import as_mesh, dimpled_box, letter_l
 
 import scan3d
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
-from scan3d.geometry.convexity import is_convex
+from scan3d.geometry.hulls import is_convex
 from scan3d.units import length
 
 SETTINGS = dict(slices=6, sweeps=4, samples=16, method="hull")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from shapes import SupportCurve
 
 import planar
-from planar import Phase, equilibria
+from planar import Phase, segments
 
 AGREES = 1e-9
 twenty_examples = settings(max_examples=20, deadline=None)
@@ -141,8 +141,8 @@ def test_shift(contour, friction, shift):
 def test_lengths_forces_and_moments_scale_with_the_rod(scale, slope, y, friction):
     # (1): a rod of λ L in the same shape has λ times the lengths, 1/λ² of the force, 1/λ of the moment
     slope, x, zeta = np.array([slope]), np.array([0.3]), np.arctan([friction])
-    full = equilibria.tangential(slope, x, np.array([y]), zeta)
-    scaled = equilibria.tangential(slope, scale * x, np.array([scale * y]), zeta)
+    full = segments.tangential(slope, x, np.array([y]), zeta)
+    scaled = segments.tangential(slope, scale * x, np.array([scale * y]), zeta)
     np.testing.assert_allclose(scaled.x0, scale * full.x0, atol=1e-13)
     np.testing.assert_allclose(scaled.s1, scale * full.s1, rtol=1e-13)
     np.testing.assert_allclose(scaled.root_f, full.root_f / scale, rtol=1e-13)

@@ -6,7 +6,7 @@ import pytest
 from shapes import cassini, letter_l_outline
 
 import planar
-from planar.loops import Outlines, crosses_itself
+from planar.contours import Outlines, crosses_itself
 
 COMB = np.array([[0, 0.5], [0.9, 0.5], [0.9, 0.9], [0.6, 0.9], [0.6, 0.6], [0.3, 0.6], [0.3, 0.9], [0, 0.9]])
 

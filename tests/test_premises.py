@@ -11,8 +11,8 @@ import planar
 import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import checked
+from scan3d.reconstruction.agreement import LARGEST
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.relative import LARGEST
 from scan3d.report import report, summary
 from tests.robustness import faults
 from tests.robustness.bounds import false_statements

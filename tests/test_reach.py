@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rings import cassini, recording_of
 
-from scan3d.bounds import reach as module
-from scan3d.bounds.reach import reach
+from scan3d.bounds import free_space as module
+from scan3d.bounds.free_space import reach
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.pipeline import analyse

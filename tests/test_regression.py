@@ -10,7 +10,7 @@ import scan3d
 from scan3d.geometry.distance import distances
 from scan3d.surfaces import certificate, enclosure
 from scan3d.surfaces.choice import surface
-from scan3d.surfaces.regression import Contacts, fit_planes, regression
+from scan3d.surfaces.estimates import Contacts, fit_planes, regression
 from tests.robustness.shot_rods import with_noise
 
 

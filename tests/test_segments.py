@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import planar
-from planar import equilibria, segments
+from planar import segments
 
 CONTOURS = {
     "circle": planar.Circle(0.9, (0.0, 1.3)),
@@ -24,7 +24,7 @@ def cut(contour, friction):
 
 def equilibria_at(path, table, rows, t):
     slope, x, y = path.at(table.piece[rows], t)
-    return slope, equilibria.states(table.tangential[rows], slope, x, y, table.friction_angle[rows])
+    return slope, segments.states(table.tangential[rows], slope, x, y, table.friction_angle[rows])
 
 
 def rate(path, piece, slope, state):

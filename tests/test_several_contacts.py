@@ -8,7 +8,7 @@ from shapes import cassini, letter_l_outline, star
 import planar
 from planar import SweepStatus
 from planar.any_body import follow
-from planar.loops import Outlines
+from planar.contours import Outlines
 from planar.several import reactions as reactions_of
 
 # x0, μ; f0x, f0y, m0z; s, f, place and slope in degrees of each contact, of two independent integrations

@@ -7,8 +7,8 @@ from test_hard_corners import CORNERS
 
 import planar
 from planar import any_body, singles
+from planar.contours import Outlines
 from planar.elastica import bend, piece
-from planar.loops import Outlines
 from planar.several import reactions
 from planar.singles import runs
 

@@ -7,8 +7,7 @@ from rods_in_space import random_paths
 from scipy.spatial.transform import Rotation
 
 from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
-from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touchdown import passages
+from scan3d.spatial.sweeping import End, passages, sweep
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import trimesh
 from rods_in_space import curved, random_ellipsoid, random_paths, turned
 
 from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
-from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touchdown import Paths, first_touches, passages
+from scan3d.spatial.sweeping import End, Paths, first_touches, passages, sweep
 
 HALF = np.array([0.3, 0.2, 0.25])
 

@@ -8,7 +8,7 @@ import shooting
 from shapes import SupportCurve
 
 import planar
-from planar import EventKind, Phase, Status, equilibria
+from planar import EventKind, Phase, Status, segments
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 SQUARE = planar.Polygon(
@@ -102,7 +102,7 @@ def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(co
     piece, t = np.repeat(np.arange(count), 12), np.tile(np.linspace(0, 1, 12), count)
     slope, x, y = path.at(piece, t)
     zeta = np.full(len(slope), np.arctan(friction))
-    x0 = equilibria.states(equilibria.is_tangential(slope, y, zeta), slope, x, y, zeta).x0
+    x0 = segments.states(segments.is_tangential(slope, y, zeta), slope, x, y, zeta).x0
     # no earlier place comes down so far, and no place comes down further than the last sample
     for i in range(len(swept)):
         before = (slope > swept.slope[i] + 1e-9) | ((slope > swept.slope[i] - 1e-9) & (x > swept.point[i, 0] + 1e-9))

@@ -10,7 +10,7 @@ from sample_bodies import random_body
 
 import planar
 import scan3d
-from planar.equilibria import tangential
+from planar.segments import tangential
 from scan3d import Rod
 from scan3d.bounds.enclosures import _thinner, enclosure, shell, sticking_out
 from scan3d.comparison import compare

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, box, largest_difference, random_ellipsoid, random_polyhedron, spatial_cloud, unit
 
-from scan3d.bounds import allowed, apexes, enclosure
+from scan3d.bounds import allowed, constraints, enclosure
 from scan3d.geometry.arcs import Places
 
 
@@ -42,7 +42,7 @@ def entered(body, cloud, kappa):
     """How many wedges the fattened body reaches into, and of how many."""
     places = Places(cloud.centre_points, np.zeros(len(cloud)), kappa**2 * cloud.centre_covariance)
     centre = cloud.centre_points.mean(axis=0)
-    normals, values = apexes._wedges(cloud, places, kappa * cloud.tangent_sd, centre)
+    normals, values = constraints._wedges(cloud, places, kappa * cloud.tangent_sd, centre)
     found = [
         not misses(body, cloud.rod_radius, n, v + n @ centre) for n, v in zip(normals[1:], values[1:], strict=True)
     ]

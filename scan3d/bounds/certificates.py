@@ -23,9 +23,8 @@ from scan3d.bounds.constraints import allowed
 from scan3d.bounds.enclosures import Enclosure, SlabCorners
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare
-from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull_about_mean, support_of
+from scan3d.geometry.hulls import distance_to_hull, hull_about_mean, support_of
 from scan3d.geometry.triangles import spanned
 from scan3d.reconstruction.errors import noise_in_air
 from scan3d.recording import Recording

@@ -2,11 +2,11 @@
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
 leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
-apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a convex function,
-and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is therefore an
-upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where contacts are
-noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
-(`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
+apexes (`scan3d.bounds.constraints`).  Whatever is left is known by its corners: the distance to a convex set is a convex
+function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is
+therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where
+contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated
+confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
@@ -19,10 +19,10 @@ convex bodies is the largest difference of their support functions, and ``h_K = 
 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
-its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
-have errors, each of them leaves out a wedge instead (`scan3d.bounds.apexes`), whose errors are those across the rod, and H may
-stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it is
-known, is one more supporting plane of K, moved outwards by the rod's radius.
+its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``. The smallest of these numbers counts at each vertex.  Where contacts
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.constraints`), whose errors are those across the rod, and H
+may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it
+is known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -43,9 +43,17 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit
-from scan3d.bounds.apexes import best_apexes, outer_body
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
-from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, allowed, exact_error, tangent_planes
+from scan3d.bounds.constraints import (
+    CONFIDENCE,
+    EXACT,
+    Allowed,
+    allowed,
+    best_apexes,
+    exact_error,
+    outer_body,
+    tangent_planes,
+)
 from scan3d.bounds.noise import confident
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError

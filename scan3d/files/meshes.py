@@ -19,7 +19,7 @@ from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
 from scan3d.files.formats import read_glb
 from scan3d.files.reading import check_file
-from scan3d.geometry import convexity, triangles
+from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import deepest_dent
 from scan3d.units import UNITS_M, check_unit, share
@@ -51,7 +51,7 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "
         its specification, and scan3d states the unit in the files that it writes.  Those of other files are in `unit`.
 
     Of a body that is convex within `DENT_TOLERANCE` the triangulated convex hull is returned, watertight and outward, with the
-    hull's vertices only: it differs from its file by at most the dent, so that everything else may rely on exact convexity.  Of
+    hull's vertices only: it differs from its file by at most the dent, so that everything else may rely on exact hulls.  Of
     others the mesh itself is returned, with equal vertices merged and faces turned outwards; it may have holes and cavities,
     and several parts, which may overlap.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that
     size must be brought to unit size before they are computed.)
@@ -81,7 +81,7 @@ def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
     `load_mesh`.
     """
     bounding_box(mesh, "body")
-    if mesh.metadata.get("geometry_sha256") == _geometry(mesh) and not (hull and not convexity.is_convex(mesh)):
+    if mesh.metadata.get("geometry_sha256") == _geometry(mesh) and not (hull and not hulls.is_convex(mesh)):
         return mesh
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     body = _judged("the mesh", *_merged(vertices, faces), hull)
@@ -134,7 +134,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
 
     outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
-    hollow = not hull and dent > convexity.DENT_TOLERANCE
+    hollow = not hull and dent > hulls.DENT_TOLERANCE
     if hollow:
         _check_digits(name, vertices, scale, dent * diagonal)
         body = _closed(name, vertices, faces)
@@ -146,7 +146,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
             )
         used, facets = triangles.without_unused(outer)
         body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
-    convexity.judged_convex(body, not hollow)
+    hulls.judged_convex(body, not hollow)
     body.metadata.update(
         file_faces=len(faces),
         dent=dent * diagonal,
@@ -154,7 +154,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
         hull=hull,
         geometry_sha256=_geometry(body),
     )
-    is_dented, is_open = bool(dent > convexity.DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
+    is_dented, is_open = bool(dent > hulls.DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
     if not hollow and (is_dented or is_open):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         filled = {
@@ -171,14 +171,14 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
 def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
     """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
     where they are deepest (3,), and the fraction of its area that they cover."""
-    facets = convexity.outward_faces(points, faces)
+    facets = hulls.outward_faces(points, faces)
     if facets is not None:
         return facets, 0.0, points[0], 1.0
     qhull = ConvexHull(points)
-    facets = convexity.outward_facets(qhull)
+    facets = hulls.outward_facets(qhull)
     assert facets is not None  # the hull of a body is one closed surface
     planes = qhull.equations * [1, 1, 1, -1]
-    dent, deepest = deepest_dent(points, faces, facets, planes, 0.01 * convexity.DENT_TOLERANCE)
+    dent, deepest = deepest_dent(points, faces, facets, planes, 0.01 * hulls.DENT_TOLERANCE)
     distinct = triangles.distinct_rows(np.sort(faces, axis=1))[
         0
     ]  # those with the same vertices as another one count once
@@ -193,7 +193,7 @@ def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None
     with np.errstate(all="ignore"):  # beyond the range of float32
         single, step = in_file.astype(np.float32), float(np.spacing(np.float32(largest)))
     is_coarse = (
-        step > convexity.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
+        step > hulls.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
     )
     if is_coarse and np.abs(single - in_file).max() <= 1e-12 * largest:
         raise InputError(
@@ -214,9 +214,9 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
     ]
     for chosen in attempts:
         used, kept = triangles.without_unused(triangles.collapsed(faces, chosen))
-        kept = convexity.turned_alike(kept)
+        kept = hulls.turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
-        if len(kept) and convexity.runs_both_ways(kept):
+        if len(kept) and hulls.runs_both_ways(kept):
             # trimesh divides by a volume of 0 for the centre of mass
             with np.errstate(divide="ignore", invalid="ignore"):
                 volume = float(body.volume)

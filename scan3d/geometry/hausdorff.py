@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
-from scan3d.geometry.convexity import against_hull, prepare_facets
 from scan3d.geometry.distance import Search
+from scan3d.geometry.hulls import against_hull, prepare_facets
 from scan3d.geometry.triangles import distance_to, halve, longest_first, without_unused
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from scan3d.choices import COLORS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.shapes import LENGTHS, POINT, cloud_table
-from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.geometry.distance import signed_distances
+from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
 from scan3d.units import UNITS_M, angle, force, lengths, number, unit_for

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 import planar
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, ranges
 from scan3d.errors import InputError
-from scan3d.geometry.convexity import is_convex
 from scan3d.geometry.distance import segments_meet
+from scan3d.geometry.hulls import is_convex
 from scan3d.geometry.sections import convex_polygon, extent_along, slice_outlines, slice_polygons
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording

@@ -25,8 +25,8 @@ from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.reading import Section, read_section
 from scan3d.frames import check_positions, to_inner, turn_of
-from scan3d.geometry.convexity import check_body, check_convex
 from scan3d.geometry.distance import segments_meet
+from scan3d.geometry.hulls import check_body, check_convex
 from scan3d.poses import TABLE, Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.recording import Recording, reaction_columns

@@ -17,9 +17,20 @@ import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
-from scan3d.geometry.convexity import check_body, check_convex, is_convex
+from scan3d.geometry.hulls import check_body, check_convex, is_convex
 from scan3d.geometry.sections import extent_along, slice_frame
-from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
+from scan3d.planning.heights import (
+    BEYOND,
+    FEW,
+    FIRST_PART,
+    Aims,
+    SlabMemory,
+    first_heights,
+    first_heights_together,
+    next_heights,
+    next_slices,
+    open_contours,
+)
 from scan3d.planning.plan import (
     FIRST_SWEEPS,
     MAX_SWEEPS,
@@ -39,8 +50,6 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
-from scan3d.planning.planes import FEW, FIRST_PART, Aims
-from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SAME_AXIS
@@ -49,8 +58,7 @@ from scan3d.rods import Rod
 from scan3d.simulation.felt import check_simple, drawn_friction, grown_extent, recorded, rounded_body, sections
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
-from scan3d.spatial.sweeping import Sweeps, sweep
-from scan3d.spatial.touchdown import passages
+from scan3d.spatial.sweeping import Sweeps, passages, sweep
 from scan3d.units import UNITS_M, length
 from scan3d.workers import shared
 

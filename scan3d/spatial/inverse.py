@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 import planar
 from planar.march import solve
 from planar.plots import Explained
-from planar.uncertainty import DIFFERENCE
+from planar.reconstruction import DIFFERENCE
 from scan3d.arrays import Array, Index
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod

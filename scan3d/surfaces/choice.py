@@ -22,8 +22,7 @@ from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
-from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, room, with_edges
-from scan3d.surfaces.regression import regression
+from scan3d.surfaces.estimates import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, regression, room, with_edges
 from scan3d.units import length
 
 Estimates = dict[str, Callable[[], Any]]
