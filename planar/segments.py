@@ -5,8 +5,9 @@ rate jumps where tip and tangential contact change into each other.  The path is
 All computations run over flat arrays: the rows of many sweeps, distinguished by their owner.
 
 At a given place the rod is in tangential contact (7) or in tip contact (6).  A place is a slope angle ``α̃`` and a point
-``(ξ, η)``; with the friction angle ``ζ`` the contact force has the direction ``α = α̃ + ζ`` (2).  The base position
-``x0`` follows from the place, not the other way round, so that no continuation in ``x0`` is needed: tangential contact is explicit, tip contact one scalar root.
+``(ξ, η)``; with the friction angle ``ζ`` the contact force has the direction ``α = α̃ + ζ`` (2).  The base position ``x0``
+follows from the place, not the other way round, so that no continuation in ``x0`` is needed: tangential contact is explicit,
+tip contact one scalar root.
 """
 
 from __future__ import annotations
