@@ -227,3 +227,14 @@ def test_amplitudes_and_integrals_of_pieces():
             if parameter < 0.99:
                 second = mpmath.ellipe(amplitude, parameter) - mpmath.ellipe(s, parameter)
                 assert abs(way - second - lost) < 1e-13
+
+
+def test_elliptic_integrals_have_no_jumps():
+    """scipy's functions jump at rare amplitudes, as around this one (3.488 for 3.400): the integrals of an arc add up."""
+    m = np.full(2001, 0.37767431706)
+    amplitude = np.linspace(3.7344, 3.7345, 2001)
+    first, second = elastica.integrals(amplitude, m)
+    root = np.sqrt(1 - m * np.sin(amplitude) ** 2)
+    step = amplitude[1] - amplitude[0]
+    for values, rate in ((first, 1 / root), (second, root)):
+        np.testing.assert_allclose(np.diff(values), step * (rate[1:] + rate[:-1]) / 2, atol=3e-15)

@@ -170,7 +170,7 @@ def test_sweeps_solve_the_boundary_value_problem():
 @pytest.mark.parametrize(
     ("contour", "rod", "direction"),
     [
-        pytest.param(i, k, direction, marks=() if (i + k + (direction > 0)) % 2 == 0 else pytest.mark.trust)
+        pytest.param(i, k, direction, marks=() if (i, direction) == (k % 3, 1 - k % 2 * 2) else pytest.mark.trust)
         for i in range(3)
         for k in range(5)
         for direction in (-1, 1)

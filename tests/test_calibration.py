@@ -15,7 +15,6 @@ from scan3d import InputError
 from scan3d.calibration import estimate
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
 from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded, weighed
-from scan3d.spatial.inverse import reconstruct
 from tests import references, rigs
 
 # A rig that differs from the nominal one in all ways, by much.
@@ -250,16 +249,6 @@ def test_without_friction_the_turn_about_the_rod_is_not_determined():
 
 
 @pytest.mark.slow
-def test_touches_with_the_tip_alone_on_a_plane():
-    raster = dict(depths=(0.2, 0.3), **SHORT)
-    recording, touched = recorded("plane", **raster)
-    found = scan3d.calibrate(recording, touched)
-    deviations = errors(found, recording, "plane", **raster) / found.standard_deviations
-    assert np.abs(deviations).max() < 4
-    assert found.details["tip_contacts"] > 0.9 * found.details["contacts"]
-
-
-@pytest.mark.slow
 def test_the_corrected_recording_is_that_of_the_clamp():
     recording = rigs.recorded(rigs.EXACT, **SHORT)
     found = scan3d.calibrate(recording, rigs.DIAMETER)
@@ -271,23 +260,6 @@ def test_the_corrected_recording_is_that_of_the_clamp():
     assert np.abs(corrected.position_m - position.reshape(-1, 3) * 0.06 - rigs.CENTRE).max() < 1e-9
     assert np.abs(corrected.axes() - np.repeat(axes, 60, axis=0)).max() < 1e-8
     assert corrected.rod.bending_stiffness_Nm2 == pytest.approx(rigs.EXACT.stiffness, rel=1e-7)
-
-
-def test_contacts_of_another_recording_lie_on_the_sphere_after_the_correction(on_sphere):
-    # a day later the sensor shows another tare
-    later = rigs.recorded(dataclasses.replace(rigs.EXACT, bias=(-0.02, 0.03, 0.05, 0.01, -0.05, 0.02)))
-    corrected = on_sphere.applied(later)
-    force, moment = corrected.wrench()
-    strong = np.linalg.norm(force, axis=1) > 0.5 * corrected.rod.force_unit_N
-    found = reconstruct(
-        force[strong] / corrected.rod.force_unit_N, moment[strong] / corrected.rod.moment_unit_Nm, tolerance=0.5
-    )
-    points = np.einsum("ni,nij->nj", found.point, corrected.axes()[strong]) * corrected.rod.length_m
-    distance = np.linalg.norm(points + corrected.position_m[strong] - rigs.CENTRE, axis=1)
-    assert np.abs(distance - rigs.DIAMETER / 2 - 0.00015).max() < 0.0002
-    # with the tare of the calibration
-    kept = on_sphere.applied(rigs.recorded(), tare="calibration")
-    assert np.abs(kept.force_N - on_sphere.applied(rigs.recorded()).force_N).max() < 0.02 * np.abs(kept.force_N).max()
 
 
 @pytest.mark.slow
@@ -397,7 +369,8 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     silent = dataclasses.replace(
         added(recording, -recording.wrench()[0], -recording.wrench()[1]), noise_force_N=0.0, noise_moment_Nm=0.0
     )
-    wrong_sign = dataclasses.replace(recording, force_N=-recording.force_N, force_z_N=-recording.force_z_N)
+    few = rigs.recorded(sweeps=15, **SHORT)
+    wrong_sign = dataclasses.replace(few, force_N=-few.force_N, force_z_N=-few.force_z_N)
     late = part(recording, (recording.sweep != 7) | touching)
     assert (silent.force_z_N == zero).all()
     for given, reference, sentence in (

@@ -74,16 +74,6 @@ def test_the_estimate_lies_between_the_bounds(seed):
     assert certificate(bounds, estimate).bound >= scan3d.compare(estimate, mesh).hausdorff * (1 - 1e-9)
 
 
-@pytest.mark.slow
-def test_under_noise_a_smooth_body_is_still_fitted():
-    mesh = trimesh.creation.icosphere(4, 20.0)
-    cloud = scanned(mesh, slices=16, noise=1e-3)
-    fitted = surface(cloud)
-    assert fitted.metadata["method"] == "support"
-    distance, distance_of_hull = (scan3d.compare(shape, mesh).hausdorff for shape in (fitted, surface(cloud, "hull")))
-    assert distance < 0.5 * distance_of_hull
-
-
 @pytest.mark.open3d
 @pytest.mark.parametrize(
     "method",

@@ -15,8 +15,6 @@ from scan3d.spatial import inverse
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import sweep
 
-CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
-
 
 def pushed(sweep):
     """The rows of a sweep in which the moment can be felt, and their frames."""

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from shapes import cassini
 
 import planar
 from planar import SweepStatus
@@ -77,18 +76,6 @@ def test_teeth_finer_than_the_chain_are_touched_one_after_the_other():
     base = np.linspace(outlines.touch_down(0) - 1e-3, -0.15, 30)
     found = follow(outlines, [base], [np.full(30, np.arctan(0.3))])[0]
     assert ((found.status == SweepStatus.ONE_CONTACT) | (found.status == SweepStatus.SEVERAL_CONTACTS)).all()
-
-
-@pytest.mark.trust
-def test_a_polygon_of_a_peanut_is_like_the_peanut():
-    base = np.linspace(0.3, -0.7, 40)
-    smooth = planar.sweep(planar.Curve.from_points(*cassini(0.8)), 0.3, base=base)
-    facets = planar.sweep(planar.Polygon(np.stack(cassini(0.8, 400), axis=1)), 0.3, base=base)
-    same = smooth.status == facets.status
-    assert same.mean() > 0.9
-    one = same & (smooth.status == SweepStatus.ONE_CONTACT)
-    # facets are 5e-3 long, and turn by some hundredths
-    assert np.median(np.abs(smooth.m0z - facets.m0z)[one]) < 5e-3
 
 
 @pytest.mark.slow

@@ -139,13 +139,6 @@ def test_all_axes_together_get_the_slices_of_the_plan(slices):
     assert all(slices_along(cloud, axis) >= min(slices, FIRST_TOGETHER) + BEYOND for axis in np.eye(3))
 
 
-@pytest.mark.slow
-def test_two_axes_share_their_slices():
-    cloud = cloud_of("polytope", 6, "xz", sweeps=6)
-    assert len(cloud.slice_height) == 2 * (6 + BEYOND)
-    assert slices_along(cloud, np.array([0.0, 1.0, 0.0])) == 0
-
-
 @pytest.mark.trust
 def test_a_polytope_is_found_exactly():
     """To 1e-6 of the diagonal by 16 slices along each of three axes: 5.7e-7, and 4.5e-6 by 48 along one axis."""

@@ -26,15 +26,6 @@ def test_the_open_side_is_named(seen, words):
     assert ("table" in missing(cloud)) == ("below" in words)
 
 
-@pytest.mark.slow
-def test_a_table_closes_the_side_below():
-    cloud = spatial_cloud(BALL, 1500, 1, seen=lambda _, n: n[:, 2] > 0.02)
-    standing = replace(cloud, table=-0.3)
-    assert np.isinf(enclosure(cloud).bound)
-    assert np.isfinite(enclosure(standing).bound)
-    assert "below z = " not in missing(standing)
-
-
 def test_noise_is_named_where_contacts_face_all_sides():
     cloud = spatial_cloud(BALL, 600, 1)
     sd = np.full(len(cloud), 0.05)

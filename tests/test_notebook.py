@@ -2,8 +2,6 @@
 
 import base64
 import io
-import subprocess
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -31,11 +29,6 @@ def cloud(recording):
 @pytest.fixture(scope="module")
 def surface():
     return scanned(CUBE).surface
-
-
-@pytest.fixture(scope="module")
-def comparison(surface):
-    return scan3d.compare(surface, scanned(CUBE).truth)
 
 
 class Reader(HTMLParser):
@@ -156,7 +149,3 @@ def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
 
 
 # --- in child processes ---
-
-
-def child(code, environment):
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)

@@ -16,8 +16,6 @@ from small_scans import CUBE, scanned, scanned_in_space
 import scan3d
 from scan3d.pictures.page import page, player
 from scan3d.pictures.parts import Scene
-from scan3d.recording import Recording
-from scan3d.rods import Rod
 from scan3d.units import FORCES, MOMENTS
 
 
@@ -156,15 +154,3 @@ def test_the_player_has_the_poses_and_reactions_of_the_recording(model):
     assert travel[0] == 0
     assert (np.diff(travel) > 0).all()
     assert data["length"] == pytest.approx(1e3 * recording.rod.length_m)
-
-
-def log(sweep):
-    n = len(sweep)
-    return Recording(
-        sweep=np.array(sweep),
-        position_m=np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float),
-        quaternion=np.tile([1.0, 0, 0, 0], (n, 1)),
-        force_N=np.zeros((n, 2)),
-        moment_Nm=np.zeros(n),
-        rod=Rod(0.05, 1e-4),
-    )

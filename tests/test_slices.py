@@ -10,7 +10,6 @@ from scipy.optimize import linprog
 from slices_by_hand import rectangle, slice_of
 
 import scan3d
-from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes
 from scan3d.reconstruction.slices import SupportFunctions, stacks
@@ -71,32 +70,6 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
 
 
 # --- prisms and cylinders, whose slices have support functions in closed form ---
-
-
-def prism(sides, radius=10.0, height=40.0):
-    """Vertices (sides, 2) of a regular polygon, and the upright prism over it."""
-    angle = 2 * np.pi * (np.arange(sides) + 0.3) / sides
-    polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return polygon, hull(np.array([(*p, z) for p in polygon for z in (-height / 2, height / 2)]))
-
-
-@pytest.mark.parametrize(("sides", "samples"), [(3, 8), (4, 64), (7, 4)])
-def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_vertices(sides, samples):
-    """The intersection of two neighbouring support lines is a vertex of the polygon, where all its edges are known."""
-    polygon, mesh = prism(sides)
-    exact = (NORMALS @ polygon.T).max(axis=1)
-    complete = 0
-    for section in one_stack(mesh, slices=4, samples=samples).slices:
-        functions = SupportFunctions((section,))
-        support = functions.at(ANGLES)[0]
-        assert functions.at(section.angle)[0] == pytest.approx(section.value, abs=1e-9)
-        assert (support >= (NORMALS @ section.points[section.tangential].T).max(axis=1) - 1e-9).all()
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        off = np.arctan2(-edges[:, 0], edges[:, 1])[:, None] - section.angle
-        if (np.abs(np.exp(1j * off) - 1).min(axis=1) < 1e-6).all():
-            complete += 1
-            assert (support <= exact + 1e-9).all()
-    assert complete or samples < 64
 
 
 def test_the_support_of_a_smooth_slice_is_close_between_few_normals():

@@ -31,29 +31,6 @@ def test_the_intervals_contain_the_normals(ellipsoid):
 
 
 @pytest.mark.slow
-def test_normals_on_straight_edges_are_exact():
-    """Contacts along the edges of a cube whose tangents cross the edges: the two edges' ends leave one normal."""
-    rng = np.random.default_rng(0)
-    turn = Rotation.from_rotvec([0.3, 0.5, -0.2])
-    along = np.sort(rng.uniform(-1, 1, 40))
-    bulge = 1e-3 * (1 - along**2)  # so that all are corners of the hull
-    points, tangents = [], []
-    for sign in ([1, 1], [1, -1], [-1, 1], [-1, -1]):
-        points.append(np.column_stack([along, (1 + bulge) * sign[0], (1 + bulge) * sign[1]]))
-        tangents.append(np.tile([0.3, sign[0], -sign[1]], (40, 1)))
-    points, tangents = turn.apply(np.concatenate(points)), turn.apply(np.concatenate(tangents))
-    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    found = hull_normals(points, tangents, np.ones(160, dtype=bool))
-    inner = np.tile((np.arange(40) > 1) & (np.arange(40) < 38), 4)
-    assert np.isfinite(found.half_width[inner]).all()
-    assert found.half_width[inner].max() < 2e-3
-    edge = turn.apply([1.0, 0, 0])
-    assert np.abs(found.normal[inner] @ edge).max() < 3e-3
-    outward = points - (points @ edge)[:, None] * edge
-    assert ((found.normal * outward)[inner].sum(axis=1) > 0).all()
-
-
-@pytest.mark.slow
 def test_contacts_on_faces_and_inside_edges_of_a_cube():
     """A tip contact on a face has the face's normal; a contact across an edge, whose neighbours lie on one line, one normal."""
     rng = np.random.default_rng(2)

@@ -68,31 +68,6 @@ def test_states_are_equilibria(contour, friction):
 
 
 @every_contour
-def test_states_with_random_friction_are_equilibria(contour):
-    rng = np.random.default_rng(80)
-    base = planar.sweep(contour, 0.0, samples=60).x0
-    friction = rng.uniform(0, 0.6, len(base))
-    swept = planar.sweep(contour, friction, base=base)
-    np.testing.assert_array_equal(swept.friction, friction)
-    touching = swept.phase != Phase.NONE
-    assert touching[:-1].mean() > 0.9
-    assert contour.distance(swept.point[touching]).max() < 1e-12
-    assert residual(swept) < 1e-10
-    loaded = swept.m0z > 0
-    alpha = np.arctan2(-swept.f0x, swept.f0y)
-    assert np.abs(alpha - swept.slope - np.arctan(friction))[loaded].max() < 1e-9
-
-
-@every_contour
-@pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
-def test_contacts_never_move_backwards(contour, friction):
-    swept = planar.sweep(contour, friction, samples=400)
-    # forward is to the left: along the lower side both fall
-    assert np.diff(swept.slope).max() < 1e-9
-    assert np.diff(swept.point[:, 0]).max() < 1e-9
-
-
-@every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
 def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(contour, friction):
     # against equilibria at many places, computed without folds, transitions and rows
@@ -209,28 +184,6 @@ def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction)
 # Events
 
 
-def test_events_on_a_square():
-    # tip contact on the right side, tangential contact there and around the lower vertex, and a snap from there to the left
-    for friction in (0.0, 0.3):
-        events = planar.events(SQUARE, friction)
-        assert events.kind[0] == EventKind.TOUCH_DOWN
-        assert events.kind[-1] == EventKind.SNAP_OFF
-        snaps = events.kind == EventKind.SNAP
-        assert snaps.sum() >= 1
-        assert (np.diff(events.x0) <= 0).all()
-        # a snap leads to a place further along, in another state
-        before, after = events.slope[snaps].T
-        assert (after < before).all()
-        assert (np.linalg.norm(np.diff(events.point[snaps], axis=1), axis=2) > 1e-3).all()
-        assert (np.abs(np.diff(events.m0z[snaps], axis=1)) > 0.01).all()
-        assert SQUARE.distance(events.point[snaps].reshape(-1, 2)).max() < 1e-12
-        # the sweep agrees
-        x0 = events.x0[snaps][0]
-        swept = planar.sweep(SQUARE, friction, base=[x0 + 1e-9, x0 - 1e-9])
-        np.testing.assert_allclose(swept.point, events.point[snaps][0], atol=1e-3)
-        np.testing.assert_allclose(swept.m0z, events.m0z[snaps][0], atol=1e-2)
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("sides", [4, 7, 60, *(pytest.param(n, marks=pytest.mark.trust) for n in (24, 200))])
 @pytest.mark.slow
@@ -244,6 +197,7 @@ def test_a_tip_snaps_around_every_corner(sides, friction):
         swept = planar.sweep(polygon, friction, base=[events.x0[i] + 1e-12, events.x0[i] - 1e-12])
         np.testing.assert_allclose(swept.point, events.point[i], atol=1e-4)
         np.testing.assert_allclose(swept.slope, events.slope[i], atol=1e-4)
+        np.testing.assert_allclose(swept.m0z, events.m0z[i], atol=1e-2)
     # after the last tangential contact the tip touches one edge after another; it reaches each by a snap, or by a transition
     swept = planar.sweep(polygon, friction, samples=4000)
     begin = np.flatnonzero(swept.phase == Phase.TANGENTIAL)[-1] + 1
