@@ -26,7 +26,7 @@ from urllib.parse import quote
 from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
-from scan3d.files.reading import read_section
+from scan3d.files.text import read_section
 from scan3d.files.whole import BATCH, REPORT, SCHEMA, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.processes import undone_if_ended
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
@@ -45,8 +45,6 @@ COLUMNS = (
     *("coverage", "warnings", "seconds"),
 )
 """The columns of the summary."""
-# Characters of the name of a run; what is longer ends with a hash, because Windows allows paths of 260 characters.
-_LONGEST_NAME = 100
 # Seconds for which a scheduler is looked for, and for which results of other machines are awaited in a shared folder: network
 # file systems show new files after seconds.
 _PATIENCE_S = 30
@@ -266,8 +264,8 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
                 outcome = Outcome(f"its worker was lost ({why}); start the batch again to repeat the run")
             if not outcome.error and not _appears(Path(run.folder) / REPORT):
                 outcome = Outcome(
-                    f"the worker has not written into {run.folder}; workers on other machines need a folder that all of "
-                    "them share"
+                    f"the worker has not written into {run.folder}; workers on other machines need a folder that all "
+                    "of them share"
                 )
             yield run, outcome
 
@@ -320,7 +318,8 @@ def scheduled(address: str) -> Iterator[Executor]:
         client = Client(address, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"no Dask scheduler answers at {address} ({error}); start one with 'dask scheduler', and give the address it prints"
+            f"no Dask scheduler answers at {address} ({error}); start one with 'dask scheduler', and give the address "
+            "it prints"
         ) from None
     with client:
         executor = client.get_executor(pure=False)
@@ -404,11 +403,12 @@ def _text(value: Any) -> str:
 
 
 def _allowed(text: str) -> str:
-    """The text with a hyphen for characters that a file system or a shell may not take, shortened if it is long."""
+    """The text with a hyphen for characters that a file system or a shell may not take.
+
+    What is longer than 100 characters ends with a hash, because Windows allows paths of 260 characters.
+    """
     name = re.sub(r"[^\w.,=+-]+", "-", text).strip(".-") or "body"
-    if len(name) <= _LONGEST_NAME:
-        return name
-    return f"{name[: _LONGEST_NAME - 9]}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
+    return name if len(name) <= 100 else f"{name[:91]}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
@@ -526,7 +526,8 @@ def _card(folder: Path, row: Row, mark: str, varied: Sequence[str]) -> str:
         return f'<article class="failed"><h2>{name}</h2><p>failed: {html.escape(row["error"])}</p>{settings}</article>'
     of = "" if row["scanned"] in (None, "mesh") else f", {row['scanned']}"
     figures = [
-        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the diagonal{of})"
+        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the "
+        f"diagonal{of})"
         for what, column, up in (("Hausdorff distance", "hausdorff", False), ("certified within", "certificate", True))
         if row[column] is not None and row[f"{column}_relative"] is not None
     ]

@@ -24,6 +24,10 @@ NOT_CONVEX = ("poisson", "ball-pivoting")
 View = Literal["cloud", "surface", "bound", "compare", "explain", "histogram", "forces"]
 VIEWS: tuple[str, ...] = get_args(View)
 """What a picture can show."""
+CHARTS = ("histogram", "forces")
+"""Views that show no body: they have no camera, and need no renderer."""
+WITH_OTHER = ("surface", "compare", "histogram")
+"""Views that show the surface, and thereby another surface that it is compared with."""
 NamedCamera = Literal["front", "back", "left", "right", "top", "bottom", "iso"]
 CAMERAS: tuple[str, ...] = get_args(NamedCamera)
 """Cameras of pictures with a name: from -y, y, -x, x, z and -z, and with x, y and z equally short."""

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.frames import axes_of, check_columns, check_orientations
+from scan3d.rigs import axes_of, check_columns, check_orientations
 from scan3d.rods import Rod
 
 SPEED_M_S = 0.02
@@ -83,15 +83,16 @@ class PoseList:
         back = within & (np.diff(self.move.astype(int)) < 0)
         if back.any():
             raise InputError(
-                f"poses: row {int(np.argmax(back)) + 2} is out of order; each sweep has approach, sweep and retract in turn"
+                f"poses: row {int(np.argmax(back)) + 2} is out of order; each sweep has approach, sweep and retract "
+                "in turn"
             )
         samples = np.bincount(
             np.searchsorted(first, np.flatnonzero(self.move == Move.SWEEP), side="right") - 1, minlength=len(first)
         )
         if (samples < 2).any():
             raise InputError(
-                f"poses: sweep {self.sweep[first[np.argmax(samples < 2)]]} has {samples.min()} rows of the move sweep, where "
-                "at least two are needed"
+                f"poses: sweep {self.sweep[first[np.argmax(samples < 2)]]} has {samples.min()} rows of the move "
+                "sweep, where at least two are needed"
             )
 
     def __len__(self) -> int:

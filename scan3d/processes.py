@@ -12,8 +12,6 @@ from typing import NoReturn
 
 from scan3d.errors import InputError
 
-# The folder from which this program is imported.
-_HOME = Path(__file__).resolve().parents[1]
 ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """The numbers of threads that OpenBLAS, MKL and Accelerate read when they start."""
 _UNDONE: list[Callable[[], object]] = []
@@ -34,8 +32,8 @@ def python(code: str, *arguments: str) -> list[str]:
     The child does not look for modules in the current folder (``-P``), where a file such as ``numpy.py`` would be executed; it
     finds this program also in a checkout that is not installed.
     """
-    flags = ["-P", "-B"] if sys.dont_write_bytecode else ["-P"]
-    return [sys.executable, *flags, "-c", f"import sys; sys.path.append({str(_HOME)!r})\n{code}", *arguments]
+    flags, home = ["-P", "-B"] if sys.dont_write_bytecode else ["-P"], str(Path(__file__).resolve().parents[1])
+    return [sys.executable, *flags, "-c", f"import sys; sys.path.append({home!r})\n{code}", *arguments]
 
 
 def compute_algebra_in_one_thread() -> None:

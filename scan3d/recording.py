@@ -25,25 +25,17 @@ from planar.channels import Frames, follow_pushes
 from scan3d import units
 from scan3d.arrays import LARGEST, Array, Index, Mask, evenly
 from scan3d.errors import InputError
-from scan3d.frames import axes_of, check_columns, check_orientations, check_positions
-from scan3d.rigs import RigUncertainty, one_rig
+from scan3d.rigs import RigUncertainty, axes_of, check_columns, check_orientations, check_positions, one_rig
 from scan3d.rods import Gravity, Rod
 from scan3d.shown import Rows, Shown
 from scan3d.spatial.march import free_reactions
 from scan3d.units import UNITS_M
 
-# Distinct normals of slices that a table lists: scans along the three axes have three.
-_MOST_NORMALS = 4
-# Significant digits from which a column counts as not rounded: double precision has 15 to 17.
-_FULL = 15
 # Numbers, at least, that show a grid or their digits.
 _FEWEST = 20
 # Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
 # are taken for those of a plan, which are round but exact.
 _FINE = 1e-4
-# Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
-# is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
-_DITHER = 3**0.5
 FORCE_SIGMAS = 8.0
 """A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
 nearly none does."""
@@ -56,8 +48,8 @@ SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 def _plain(name: str, values: Any) -> NDArray[Any]:
     if np.ma.isMaskedArray(values):
         raise InputError(
-            f"recording: {name} is a masked array, whose masked values would count as measured; leave those rows out and "
-            "give plain arrays"
+            f"recording: {name} is a masked array, whose masked values would count as measured; leave those rows out "
+            "and give plain arrays"
         )
     try:
         array = np.asarray(values)
@@ -67,7 +59,8 @@ def _plain(name: str, values: Any) -> NDArray[Any]:
     if array.dtype.kind not in "iuf" or (name == "sweep" and not whole):
         expected = "whole numbers" if name == "sweep" else "real numbers"
         raise InputError(
-            f"recording: {name} must be an array of {expected}, got {array.dtype.name} {' '.join(str(values).split()):.40}"
+            f"recording: {name} must be an array of {expected}, got {array.dtype.name} "
+            f"{' '.join(str(values).split()):.40}"
         )
     return array
 
@@ -172,14 +165,15 @@ class Recording(Shown):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
         if self.rod.weight_N and self.gravity is None:
             raise InputError(
-                "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is tared"
+                "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is "
+                "tared"
             )
         if self.completed is not None and (
             self.rig is not None or self.rod.weight_N or (self.six_axis and self.completed.channel != FORCE)
         ):
             raise InputError(
-                "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; measure "
-                "all of fx, fy and mz"
+                "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; "
+                "measure all of fx, fy and mz"
             )
         if self.completed is not None and self.six_axis and (self.completed.friction or self.completed.friction_sd):
             raise InputError(
@@ -217,8 +211,10 @@ class Recording(Shown):
             together(self.noise_moment_Nm, moment),
             self.noise_pose_m,
             place * LARGEST_OVER_SD,
-            self.noise_force_N >= _DITHER * force
-            and self.noise_moment_Nm >= _DITHER * moment
+            # errors of rounding are independent if the noise that is rounded is at least half a step: their mean over the
+            # noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008)
+            self.noise_force_N >= 3**0.5 * force
+            and self.noise_moment_Nm >= 3**0.5 * moment
             # a wrong coefficient of friction is the same in all rows, and forces by moments follow one another
             and not (self.completed is not None and (self.completed.friction_sd or self.completed.channel == FORCE)),
         )
@@ -293,8 +289,9 @@ class Recording(Shown):
 
 def _directions(normals: Array) -> str:
     distinct = np.unique(np.round(normals, 3) + 0.0, axis=0)
-    rest = f" and {len(distinct) - _MOST_NORMALS} more" if len(distinct) > _MOST_NORMALS else ""
-    return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:_MOST_NORMALS]) + rest
+    most = 4  # scans along the three axes have three
+    rest = f" and {len(distinct) - most} more" if len(distinct) > most else ""
+    return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:most]) + rest
 
 
 def rounding_sd(values: Array) -> float:
@@ -308,7 +305,7 @@ def rounding_sd(values: Array) -> float:
     binary = float(np.spacing(np.float32(largest))) if single else 0.0
     step = max(_decimal_step(nonzero, largest, single), binary, _grid_step(values))
     # numbers of full precision are multiples of their last place
-    return step / float(np.sqrt(12)) if step > largest * 10.0**-_FULL else 0.0
+    return step / float(np.sqrt(12)) if step > largest * 10.0**-15 else 0.0
 
 
 def _decimal_step(values: Array, largest: float, single: bool) -> float:
@@ -319,7 +316,7 @@ def _decimal_step(values: Array, largest: float, single: bool) -> float:
     digits the smaller they are.
     """
     some = np.abs(evenly(values, 2000))
-    kept, full = (np.float32, 8) if single else (float, _FULL)
+    kept, full = (np.float32, 8) if single else (float, 15)
     power = np.floor(np.log10(some))
     exponents, counts = np.unique(power, return_counts=True)
     found: dict[float, int] = {}
@@ -416,8 +413,8 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     kept = np.isfinite(found)
     if not (kept & pressed).any():
         raise InputError(
-            f"in all of the {int(pressed.sum())} rows with a force the two reactions that were measured leave no contact, or "
-            f"several, with {known.words}; measure a third one"
+            f"in all of the {int(pressed.sum())} rows with a force the two reactions that were measured leave no "
+            f"contact, or several, with {known.words}; measure a third one"
         )
     forces, found = recording.force_N.copy(), np.nan_to_num(found)
     if known.channel == "m0z":
@@ -447,8 +444,8 @@ def _with_forces(recording: Recording) -> tuple[Recording, Mask]:
     kept = np.isfinite(force[:, 0])
     if not force[kept].any():
         raise InputError(
-            "no sweep can be followed by its moments: each has to begin with a small push of the side of the rod, not of its "
-            "tip, against the body; measure the force as well"
+            "no sweep can be followed by its moments: each has to begin with a small push of the side of the rod, not "
+            "of its tip, against the body; measure the force as well"
         )
     columns = reaction_columns(rod.force_unit_N * np.nan_to_num(force), np.zeros_like(force), recording.six_axis)
     forces = {name: column for name, column in columns.items() if name.startswith("force")}
@@ -476,25 +473,18 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         # a recording that goes on from the ones before keeps its numbers
         numbers.append(recording.sweep if distinct[0] >= first else first + rank.reshape(-1))
         first = int(numbers[-1].max()) + 1
-    columns = ["position_m", "quaternion", "force_N", "moment_Nm"]
+    columns, noises = (
+        ["position_m", "quaternion", "force_N", "moment_Nm"],
+        ("noise_force_N", "noise_moment_Nm", "noise_pose_m"),
+    )
+    values: dict[str, Any] = {name: max(getattr(recording, name) for recording in recordings) for name in noises}
     if all(recording.six_axis for recording in recordings):
         columns += SIX_AXES
-    values: dict[str, Any] = {
-        name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns
-    }
-    return Recording(
-        sweep=np.concatenate(numbers),
-        **values,
-        rod=last.rod,
-        noise_force_N=max(recording.noise_force_N for recording in recordings),
-        noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
-        noise_pose_m=max(recording.noise_pose_m for recording in recordings),
-        unit=last.unit,
-        table_m=last.table_m,
-        gravity=last.gravity,
-        completed=last.completed,
-        source=last.source,
-        rig=one_rig([recording.rig for recording in recordings]),
+    else:
+        values |= dict.fromkeys(SIX_AXES)
+    values |= {name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns}
+    return replace(
+        last, sweep=np.concatenate(numbers), **values, rig=one_rig([recording.rig for recording in recordings])
     )
 
 
@@ -549,8 +539,7 @@ class Known:
 
         Raises InputError for channels that do not tell.
         """
-        columns = (None if name == self.channel else reactions[name][rows] for name in REACTIONS)
-        f0x, f0y, m0z = columns
+        f0x, f0y, m0z = (None if name == self.channel else reactions[name][rows] for name in REACTIONS)
         told: dict[str, Any] = {"tip": True} if self.friction is None else {"friction": self.friction}
         try:
             done = planar.complete(np.zeros(len(rows)), f0x, f0y, m0z, **told, direction=direction, rod=rod)

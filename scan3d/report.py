@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 # What contacts and bounds are those of, in the place of the body, where the diameter of a real rod is not known.
 _GROWN = (
-    "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
-    "of an import or in the TOML file of the recording"
+    "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the "
+    "map of an import or in the TOML file of the recording"
 )
 
 

@@ -28,13 +28,13 @@ from scan3d.comparison import Comparison
 from scan3d.errors import InputError
 from scan3d.files import whole
 from scan3d.files.meshes import FORMATS, judge_mesh, load_mesh, read_mesh
-from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
 from scan3d.files.shapes import NORMAL, POINT, read_ply, table
+from scan3d.files.text import check_readable
 from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, locate, replacing, sha256
 from scan3d.pictures import notebook
+from scan3d.pictures.figures import sheet
 from scan3d.pictures.parts import Scene, columns
-from scan3d.pictures.sheet import sheet
 from scan3d.reconstruction import reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, summary
@@ -70,7 +70,8 @@ class Result(Shown):
         path = self._place / RECORDING[0]
         if not locate(path).exists():
             raise InputError(
-                f"{self.folder} has no {RECORDING[0]}, which results have; make them again with scan3d scan or reconstruct"
+                f"{self.folder} has no {RECORDING[0]}, which results have; make them again with scan3d scan or "
+                "reconstruct"
             )
         check_belongs(self._place, self.report, RECORDING)
         return read_recording(path)
@@ -90,8 +91,9 @@ class Result(Shown):
             allowed = 1e-6 * float(np.linalg.norm(np.ptp(known, axis=0)))
             if known.shape != cloud.points.shape or np.abs(known - cloud.points).max() > allowed:
                 raise InputError(
-                    f"the recording in {self.folder} gives other contacts than cloud.ply has, which was written by scan3d "
-                    f"{(self.report.get('versions') or {}).get('scan3d', 'of another version')}; run the scan again"
+                    f"the recording in {self.folder} gives other contacts than cloud.ply has, which was written by "
+                    f"scan3d {(self.report.get('versions') or {}).get('scan3d', 'of another version')}; run the scan "
+                    "again"
                 )
         return cloud
 
@@ -137,8 +139,8 @@ class Result(Shown):
         known = self.report.get("comparison")
         if not isinstance(known, Mapping) or set(known) != {field.name for field in dataclasses.fields(Comparison)}:
             raise InputError(
-                f"{self._place / REPORT} does not hold the comparison with the mesh: an earlier version has written it; "
-                "run the scan again, or use scan3d.compare"
+                f"{self._place / REPORT} does not hold the comparison with the mesh: an earlier version has written "
+                "it; run the scan again, or use scan3d.compare"
             )
         values: dict[str, Any] = {name: np.nan if value is None else value for name, value in known.items()}
         values["worst_point"] = np.array(known["worst_point"], dtype=float)
@@ -386,7 +388,7 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
 def _of_other_program(path: Path) -> tuple[NDArray[Any], Any, tuple[str, ...]]:
     """As `read_ply`, of any PLY: its points, with normals if they are there, and its faces, None if there are none."""
     try:
-        check_file(path)
+        check_readable(path)
         raw = mesh_loaders["ply"](io.BytesIO(path.read_bytes()), skip_materials=True)
         data = raw["metadata"]["_ply_raw"]["vertex"]["data"]
         known = [name for name in POINT + NORMAL if name in (data if isinstance(data, dict) else data.dtype.names)]

@@ -23,9 +23,6 @@ MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
 # Diameter of the rod that is taken by default, relative to its length: that of a 0.3 mm wire of 50 mm.  A thicker rod has
 # larger forces for the same shape, a thinner one forces closer to a sensor's noise; contacts do not depend on it.
 SLENDERNESS = 0.006
-# Lengths, forces and moments below this, or above its inverse, in SI units, belong to no rod, and squares of them would not be
-# numbers of a computer.
-_SMALLEST_UNIT = 1e-100
 
 
 Table = tuple[tuple[float, float], ...]
@@ -68,10 +65,11 @@ class Rod:
             raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
         if not (math.isfinite(self.diameter_m) and 0 <= self.diameter_m < self.length_m):
             raise InputError(f"a rod needs a diameter in metres from 0 to less than its length, got {self.diameter_m}")
-        if not all(_SMALLEST_UNIT < unit < 1 / _SMALLEST_UNIT for unit in (*self._units(), self.length_m)):
+        # squares of others would not be numbers of a computer
+        if not all(1e-100 < unit < 1e100 for unit in (*self._units(), self.length_m)):
             raise InputError(
-                f"a rod of {self.length_m:g} m with a bending stiffness of {self.bending_stiffness_Nm2:g} N·m² has reactions "
-                "that are no numbers of a computer; check the units of its length and its stiffness"
+                f"a rod of {self.length_m:g} m with a bending stiffness of {self.bending_stiffness_Nm2:g} N·m² has "
+                "reactions that are no numbers of a computer; check the units of its length and its stiffness"
             )
         tip = self.tip_diameter_m
         if tip is not None and not (_is_number(tip) and 0 < tip < self.length_m):
@@ -80,7 +78,8 @@ class Rod:
             raise InputError("a rod with a tip_diameter_m needs the diameter_m at its clamp")
         if (tip is not None) + bool(self.stiffness_table) + bool(self.diameter_table) > 1:
             raise InputError(
-                "a rod has one of tip_diameter_m, a table of bending_stiffness_Nm2 and a table of diameter_m, got several"
+                "a rod has one of tip_diameter_m, a table of bending_stiffness_Nm2 and a table of diameter_m, got "
+                "several"
             )
         curvature = self.curvature_per_m
         if not _is_number(curvature):
@@ -183,8 +182,8 @@ class Rod:
         # of a uniform cantilever under its weight, which a tapered one stays below
         if weight and weight / 8 * float(abs(down[..., 2]).max()) > sag + planar.TOLERANCE:  # type: ignore[index]
             raise InputError(
-                "the rod's weight bends it out of the plane of its sweep, because gravity does not lie in that plane: sweep in "
-                "planes that contain gravity, or measure six axes for the spatial model"
+                "the rod's weight bends it out of the plane of its sweep, because gravity does not lie in that plane: "
+                "sweep in planes that contain gravity, or measure six axes for the spatial model"
             )
         about, *out_of_plane = self.curvatures
         if any(out_of_plane):

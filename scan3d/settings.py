@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args, ge
 
 from scan3d.choices import METHODS, Method, Model, Spacing, one_of
 from scan3d.errors import InputError, UsageError
-from scan3d.files.reading import did_you_mean, read_section, to_float
+from scan3d.files.text import did_you_mean, read_section, to_float
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
 
@@ -39,8 +39,8 @@ class Settings:
     model: Model = _setting("planar", "model of contact; a round rod in space leaves the plane of its sweep")
     slices: int = _setting(
         64,
-        "number of slices; adaptive spacing takes fewer where more would not lower the bound; in the spatial model 0.6 times "
-        "as many sweeps from each of 12 directions",
+        "number of slices; adaptive spacing takes fewer where more would not lower the bound; in the spatial model "
+        "0.6 times as many sweeps from each of 12 directions",
     )
     spacing: Spacing = _setting(
         "adaptive", "heights of the slices: adaptive where the bound is widest, cosine dense at the ends"
@@ -62,7 +62,8 @@ class Settings:
     clearance: float = _setting(0.3, "distance of the base line from the slice, in rod lengths")
     tolerance: float = _setting(
         0.0,
-        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it takes",
+        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it "
+        "takes",
     )
     noise: float = _setting(0.0, "standard deviation of force and moment, in EI/L² and EI/L")
     seed: int = _setting(0, "seed of the random numbers; the same seed gives the same files")
@@ -72,8 +73,8 @@ class Settings:
     )
     reach: float = _setting(
         0.0,
-        "radius, in the mesh's unit, of the finest feature of a body that is not convex, its gaps, edges and grooves included, "
-        "which bounds it from both sides; 0: not known",
+        "radius, in the mesh's unit, of the finest feature of a body that is not convex, its gaps, edges and grooves "
+        "included, which bounds it from both sides; 0: not known",
     )
     hull: bool = _setting(False, "scan the convex hull of a body that is not convex")
 
@@ -209,7 +210,8 @@ def _merged(*layers: tuple[str, Mapping[str, Any]]) -> Settings:
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise InputError(
-                f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}{did_you_mean(unknown, known)}"
+                f"{source}: unknown setting {', '.join(unknown)}; known are "
+                f"{', '.join(known)}{did_you_mean(unknown, known)}"
             )
         merged = replace(merged, **{name: _typed(source, name, values[name], known[name]) for name in values})
     if merged.tolerance > 0 and not any("slices" in values for _, values in layers):

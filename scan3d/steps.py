@@ -25,10 +25,9 @@ from scan3d.choices import Method, Model, Tare, one_of
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, import_open3d
-from scan3d.files.formats import to_polydata, write_shape
 from scan3d.files.meshes import FORMATS, common_unit, load_mesh, read_mesh, stated_unit
 from scan3d.files.recordings import read_recording, sidecar, write_recording
-from scan3d.files.shapes import Shape, cloud_table, read_shape, surface_table, table
+from scan3d.files.shapes import Shape, cloud_table, read_shape, surface_table, table, to_polydata, write_shape
 from scan3d.files.tables import PARQUET
 from scan3d.files.whole import check_pair
 from scan3d.geometry.distance import distances
@@ -86,8 +85,8 @@ def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None =
 
 @_described_by(
     comparison.compare,
-    "Either may be given as the path of a mesh file, whose triangles are taken as they are.  A warning says so if the sizes"
-    "\n    differ by a factor between units, such as 10, 25.4 or 1000.",
+    "Either may be given as the path of a mesh file, whose triangles are taken as they are.  A warning says so if the "
+    "sizes\n    differ by a factor between units, such as 10, 25.4 or 1000.",
 )
 def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
     paths = [Path(given) for given in (surface, mesh) if isinstance(given, (str, os.PathLike))]

@@ -51,8 +51,8 @@ def unit_remark(
         if abs(ratio / factor - 1) < 0.05:
             large, small = names if first > second else names[::-1]
             return (
-                f"the {large} is {ratio:.4g} times as large as the {small}, as if the {large} were in {shorter} and the "
-                f"{small} in {longer}; check their units"
+                f"the {large} is {ratio:.4g} times as large as the {small}, as if the {large} were in {shorter} and "
+                f"the {small} in {longer}; check their units"
             )
     return None
 

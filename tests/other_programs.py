@@ -15,8 +15,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
-from scan3d.files.shapes import ply
+from scan3d.files.shapes import CLOUD_ENDINGS, SURFACE_ENDINGS, export, ply
 
 FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS[:-1]] + [("surface", ending) for ending in SURFACE_ENDINGS]
 # Turns vectors from the axes of glTF, of which y is up, to those of the world.

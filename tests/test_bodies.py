@@ -15,8 +15,8 @@ from shapes import as_mesh, box, letter_l, rotation, soup, without
 import scan3d
 from scan3d.__main__ import main
 from scan3d.errors import InputError
-from scan3d.files.formats import export
 from scan3d.files.meshes import FORMATS, load_mesh, read_mesh
+from scan3d.files.shapes import export
 from scan3d.units import UNITS_M
 
 KINDS = {**{kind: kind for kind in FORMATS}, "stl_ascii": "stl"}

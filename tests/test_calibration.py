@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 import scan3d
 from scan3d import InputError
-from scan3d.calibration import estimate
+from scan3d.calibration import fit
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
 from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded, weighed
 from tests import references, rigs
@@ -58,7 +58,7 @@ def calibrated(kind):
 def straight(request, monkeypatch):
     """Wherever a straight rod does not fit, its shape is sought for half a minute: in `make trust`, and in tests of its own."""
     if not request.node.get_closest_marker("trust"):
-        monkeypatch.setattr(estimate, "_shaped", lambda *_: None)
+        monkeypatch.setattr(fit, "_shaped", lambda *_: None)
 
 
 @pytest.fixture(params=["sphere", pytest.param("plane", marks=pytest.mark.slow)])
@@ -85,7 +85,7 @@ def on_sphere():
 def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, shape, contact):
     recording, _ = recorded(kind, **SHORT)
     reference = Plane.of(recording.rod) if kind == "plane" else Sphere.of(rigs.DIAMETER, recording.rod)
-    problem, nominal = estimate.measured(recording, reference, "auto")
+    problem, nominal = fit.measured(recording, reference, "auto")
     every, within = (5, 1e-6) if shape is None else (40, 1e-3)  # differences by steps of 1e-5, of the march
     touches = problem.touches.rows(np.arange(0, len(problem.touches.number), every))
     touches = touches._replace(kind=np.full(len(touches.kind), contact, dtype=np.int8))

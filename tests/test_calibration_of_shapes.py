@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import scan3d
-from scan3d.calibration import estimate
+from scan3d.calibration import fit
 from scan3d.calibration.report import read_rig, write_rig
 from scan3d.errors import InputError
 from scan3d.spatial import inverse
@@ -61,7 +61,7 @@ def test_a_straight_rod_is_not_given_a_shape():
 
 def test_no_shape_is_sought_where_touches_are_too_light_for_any_rod(monkeypatch):
     sought = []
-    monkeypatch.setattr(estimate, "_shaped", lambda *given: sought.append(given))
+    monkeypatch.setattr(fit, "_shaped", lambda *given: sought.append(given))
     with pytest.raises(InputError, match="touch it too lightly"):
         found_of(Shaped(noise=0.02), sweeps=12, samples=24)
     assert not sought

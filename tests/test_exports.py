@@ -16,8 +16,17 @@ from other_programs import FORMATS, HERE, PROGRAMS
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export, write_shape
-from scan3d.files.shapes import Shape, ply, read_ply, read_shape, surface_table
+from scan3d.files.shapes import (
+    CLOUD_ENDINGS,
+    SURFACE_ENDINGS,
+    Shape,
+    export,
+    ply,
+    read_ply,
+    read_shape,
+    surface_table,
+    write_shape,
+)
 
 ROOT = Path(__file__).parents[1]
 

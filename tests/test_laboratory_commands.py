@@ -16,7 +16,7 @@ from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.tables import parquet_bytes
 from scan3d.files.text import to_toml
-from scan3d.laboratory.guessing import guess_map
+from scan3d.laboratory.maps import guess_map
 
 RIG = Rig(noise=0.002)
 

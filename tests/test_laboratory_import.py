@@ -15,9 +15,8 @@ import scan3d
 from scan3d import InputError
 from scan3d.files.tables import parquet_bytes
 from scan3d.laboratory import signals
-from scan3d.laboratory.guessing import guess_map
 from scan3d.laboratory.importing import convert, load
-from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.maps import guess_map, read_map
 from scan3d.laboratory.signals import robust_sd
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.cli import main
-from scan3d.files.reading import rod_section
-from scan3d.files.text import to_toml
+from scan3d.files.text import rod_section, to_toml
 from tests import rigs
 
 TRUTH = dataclasses.replace(rigs.EXACT, drift=(0.0,) * 6)

@@ -7,8 +7,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 import scan3d
-from scan3d.files.formats import export
-from scan3d.files.shapes import ply, surface_table
+from scan3d.files.shapes import export, ply, surface_table
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.triangles import collapsed, kept_apart
 from tests.shapes import box, polytope

@@ -11,7 +11,7 @@ from small_scans import CUBE, EGG, FEW, scanned
 
 import scan3d
 from scan3d.cli import main
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.shapes import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
 from scan3d.pictures import figures
 from scan3d.pictures.page import page

@@ -17,8 +17,8 @@ import scan3d
 from scan3d.choices import CAMERAS
 from scan3d.pictures import figures, parts, rendering, views
 from scan3d.pictures.canvas import Canvas
+from scan3d.pictures.figures import Camera, Sheet, sheet
 from scan3d.pictures.parts import shown_surface
-from scan3d.pictures.sheet import Camera, Sheet, sheet
 from scan3d.pictures.views import histograms
 
 # --- size, resolution and camera ---

@@ -11,7 +11,7 @@ import trimesh
 from small_scans import CUBE, EGG
 
 import scan3d
-from scan3d.files.formats import SURFACE_ENDINGS, export
+from scan3d.files.shapes import SURFACE_ENDINGS, export
 from scan3d.geometry.distance import distances
 from scan3d.pictures import rendering
 

@@ -66,6 +66,7 @@ def test_surfaces_state_their_unit():
 def test_the_types_of_choices_are_those_of_the_lists():
     assert typing.get_args(units.Unit) == tuple(units.UNITS_M)
     lists = {name: values for name, values in vars(choices).items() if name.isupper()}
-    assert set(lists.pop("NOT_CONVEX")) < set(choices.METHODS)
+    parts = {"NOT_CONVEX": choices.METHODS, "CHARTS": choices.VIEWS, "WITH_OTHER": choices.VIEWS}
+    assert all(set(lists.pop(name)) < set(whole) for name, whole in parts.items())
     types = {name: typing.get_args(kind) for name, kind in vars(choices).items() if typing.get_origin(kind)}
     assert sorted(lists.values()) == sorted(types.values())

@@ -1,4 +1,4 @@
-"""Least squares with errors in all measured values, by which touches of a reference give the rig.
+"""The rig that has touched a reference, by least squares with errors in all measured values.
 
 The equations of `model` hold between the true values of a row (the Gauss-Helmert model: Helmert, 1872; Niemeier, 2008,
 chapter 5).  For a rig the measured values of each row are adjusted by the least corrections, in standard deviations, with
@@ -12,6 +12,13 @@ independent as the noise.  Scatter beyond that enlarges all uncertainties: by it
 number of rows over which it is alike (the integrated autocorrelation).  Where it is more than noise could be, the model does
 not fit: deviations with the sum of squares S may then be alike in all rows, and shift a parameter by no more than √S of its
 standard deviations (the Cauchy-Schwarz inequality).
+
+Kinds of contacts, rows, and the noise of the poses depend on the rig, and the rig on them: rounds of least squares end when
+all of them are at rest.  Neither a row's use nor its kind is decided by its own noise, but by its neighbours in the sweep.
+
+Least squares begin at a first rig.  The condition ``m0·t0 = 0`` in the sensor's frame is linear in the rod's direction u and in
+``u × a``, with a the place of the sensor: it gives both without a body.  The turn about the rod, the distance along it and the
+stiffness are then searched on a grid: with the right ones the contacts lie on the reference.
 """
 
 from __future__ import annotations
@@ -19,11 +26,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, ndtr
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, evenly
@@ -39,11 +47,17 @@ from scan3d.calibration.model import (
     TILT,
     TURN,
     Equations,
+    Kind,
     Rig,
     Touches,
+    bent,
+    clamp_wrench,
+    contacts,
     equations,
 )
-from scan3d.calibration.references import CHANCE, Sphere, Unloaded
+from scan3d.calibration.references import CHANCE, Plane, Reference, Sphere, Unloaded, neighbours, six_channels, unloaded
+from scan3d.choices import TARES
+from scan3d.errors import InputError
 from scan3d.recording import Recording
 from scan3d.units import length, share
 
@@ -63,15 +77,6 @@ _WIDTHS_AND_RANKS = {
     MIXING: (1.0, 0.0),
     TARE: (1.0, 0.0),
 }
-# Rounds in which the measured values of a row are adjusted to a rig, and rigs that a fit tries at most.
-_ADJUSTMENTS, _TRIALS = 3, 50
-# What a row without a rod counts in standard deviations: more than rows that are far off, because rigs for which no row has
-# a rod would fit best otherwise.
-_NO_ROD = 100.0
-# Length of the step, in standard deviations, that is left to the least sum of squares where a fit is at rest.
-_SMALL = 0.1
-# The largest noise that is estimated: of the poses in rod lengths, and of the wrench relative to it.
-_LARGEST = 0.3
 
 
 class Noise(NamedTuple):
@@ -113,19 +118,10 @@ class Problem:
         return replace(self, touches=self.touches._replace(kind=kind))
 
     @property
-    def widths(self) -> Array:
-        return self._groups[:, 0]
-
-    @property
-    def ranks(self) -> Array:
-        """(p,) of those that are determined only together, the first to stay at its nominal value has the largest."""
-        return self._groups[:, 1]
-
-    @property
-    def _groups(self) -> Array:
-        first = np.array(list(_WIDTHS_AND_RANKS))
-        group = np.searchsorted(first, np.arange(len(self.free)), side="right") - 1
-        return np.array(list(_WIDTHS_AND_RANKS.values()))[group]
+    def widths_and_ranks(self) -> Array:
+        """(2, p)"""
+        group = np.searchsorted(list(_WIDTHS_AND_RANKS), np.arange(len(self.free)), side="right") - 1
+        return np.array(list(_WIDTHS_AND_RANKS.values()))[group].T
 
     @property
     def squares(self) -> Array:
@@ -205,7 +201,7 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Ro
     used = good[:, None] & applies & (found.by_row != 0).any(axis=2)
     further = ~used + np.array([0, 0, 0, slack**2])
     correction = before = np.zeros((len(good), 9))
-    for number in range(_ADJUSTMENTS + 1):
+    for number in range(4):  # the first time at the measured values
         if number:
             moved = equations(rig, problem.touches.moved(correction))
             fine = _finite(moved)  # the rod is lost by adjusting some rows, which stay where they are
@@ -221,7 +217,8 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Ro
         white = np.einsum("nij,nj->ni", factor, misclosure)
         multiplier = np.einsum("nji,nj->ni", factor, white)
         before, correction = correction, -variances * np.einsum("nij,ni->nj", by_row, multiplier)
-    white[~good, 0] = _NO_ROD
+    # more than rows that are far off, because rigs for which no row has a rod would fit best otherwise
+    white[~good, 0] = 100.0
     white_by_rig = factor @ np.where(used[:, :, None], found.by_rig, 0.0)
     return Rows(used, misclosure, by_row, factor, white, white_by_rig)
 
@@ -231,13 +228,13 @@ def _finite(found: Equations) -> Mask:
     return np.asarray(np.isfinite(sizes))
 
 
-def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> Fit:
+def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = 50) -> Fit:
     """The fit from a rig nearby, or the best of so many rigs that are tried.
 
     Parameters that nothing depends on do not move: a step of their width counts as much as a standard deviation.
     """
     free = np.flatnonzero(problem.free)
-    widths = problem.widths[free]
+    widths = problem.widths_and_ranks[0, free]
     weight = problem.channels / np.repeat([noise.force, noise.moment], 3)
     mixed = np.flatnonzero(problem.free[MIXING:TARE])
     likely = np.zeros((len(mixed), len(problem.free)))
@@ -257,13 +254,8 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> F
         tare = in_air[:, TARE:] @ (moved.tare - problem.air.tare).ravel()
         mixing = likely[:, MIXING:TARE] @ moved.mixing.ravel()
         residual = np.concatenate([rows.white.ravel(), tare, mixing, x / widths])
-        by_rig = rows.white_by_rig.reshape(-1, len(step))
-        return (
-            moved,
-            rows,
-            residual,
-            np.vstack([by_rig[:, free], in_air[:, free], likely[:, free], np.diag(1 / widths)]),
-        )
+        by_rig = np.vstack([rows.white_by_rig.reshape(-1, len(step)), in_air, likely])[:, free]
+        return moved, rows, residual, np.vstack([by_rig, np.diag(1 / widths)])
 
     found = least_squares(
         lambda x: at(x.tobytes())[2],
@@ -275,7 +267,8 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> F
     moved, rows, residual, slopes = at(found.x.tobytes())
     jacobian = np.vstack([rows.white_by_rig.reshape(-1, len(problem.free)), in_air, likely])
     jacobian[:, ~problem.free] = 0
-    at_rest = bool(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual) < _SMALL)
+    # the step that is left, in standard deviations
+    at_rest = bool(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual) < 0.1)
     return Fit(problem, moved, noise, rows, jacobian, 2 * float(found.cost), at_rest)
 
 
@@ -316,14 +309,12 @@ def _estimated(fit: Fit, noise: Noise, name: str, which: slice, freedom: float) 
     def excess(logarithm: float) -> float:
         return _excess(fit, noise._replace(**{name: math.exp(logarithm)}), which) - freedom
 
-    low, high = math.log(NEGLIGIBLE), math.log(_LARGEST)
+    # the largest is one of the poses in rod lengths, and of the wrench relative to it
+    ends = NEGLIGIBLE, 0.3
+    low, high = map(math.log, ends)
     if excess(low) <= 0 or excess(high) >= 0:
-        return noise._replace(**{name: NEGLIGIBLE if excess(low) <= 0 else _LARGEST})
+        return noise._replace(**{name: ends[not excess(low) <= 0]})
     return noise._replace(**{name: math.exp(brentq(excess, low, high, rtol=1e-4))})
-
-
-# Rows by which the shape of a rod is tested.
-_TESTED = 1000
 
 
 def is_shaped(fit: Fit) -> bool:
@@ -332,7 +323,7 @@ def is_shaped(fit: Fit) -> bool:
     problem = fit.problem
     if problem.free[SHAPE]:
         return False
-    few = problem.rows(evenly(np.arange(len(problem.touches.kind)), _TESTED))
+    few = problem.rows(evenly(np.arange(len(problem.touches.kind)), 1000))
     rows = adjusted(few, replace(fit.rig, marched=True), fit.noise)
     columns = rows.white_by_rig.reshape(-1, len(problem.free))
     known = fit.jacobian[4 * len(problem.touches.kind) :, problem.free]
@@ -351,13 +342,6 @@ def is_shaped(fit: Fit) -> bool:
 
 ROBOTS = 1e-3
 """Noise of a robot's poses, at most, in rod lengths."""
-# Variance beyond 1 of the misclosures of an equation with which the model does not fit.
-_SPOILED = 0.3
-# Lags in rows whose mean product tells deviations that are alike, and those up to which these are followed.
-_NEAR, _FARTHEST = 3, 200
-# Part of the deviations that one cause must explain to be named alone, and the scatter of the reactions across their plane,
-# in standard deviations of the noise, up to which they lie in a plane.
-_EXPLAINS, _FLAT = 0.1, 1.5
 
 
 class Checked(NamedTuple):
@@ -385,23 +369,35 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     # the noise is not stated where it is that of the same rows
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
     if stated and air.misfit > 1 + CHANCE * np.sqrt(2 / (6 * air.air.sum())):
-        sentences.append(_IN_THE_AIR.format(factor=air.misfit**0.5))
+        sentences.append(
+            f"In the air the reactions scatter by {air.misfit**0.5:.2f} times the stated noise: the sensor drifts "
+            "otherwise than the tare assumes, or the noise is larger than stated; what is found in the air was used "
+            "instead."
+        )
     rough = estimated and fit.noise.place > ROBOTS
     if rough:
         off = length(fit.noise.place * recording.rod.length_m, "m", digits=2)
-        sentences.append(_ROUGH_POSES.format(off=off, kind=kind, check=_CHECK[kind]))
+        check = {"sphere": "the diameters of sphere and rod", "plane": "the flatness of the plane"}[kind]
+        sentences.append(
+            f"The contacts deviate from the {kind} as if the poses scattered by {off}, which is more than those of a "
+            f"robot do: check {check}, and that the {kind} did not move."
+        )
     if fit.noise.contradiction > 0:
-        sentences.append(_CONTRADICTS.format(wrench=share(fit.noise.contradiction), air=share(in_air(fit))))
+        sentences.append(
+            f"In contact force and moment contradict a single force by {share(fit.noise.contradiction)}, and the "
+            f"noise in the air is {share(in_air(fit))}: gains and cross-talk of the sensor's channels are estimated "
+            "with the rig, what the touches do not tell of them is part of all uncertainties, and scans with this "
+            "sensor have them too."
+        )
     excess = [_above_one(white[rows.used[:, equation], equation] ** 2) for equation in range(4)]
     runs = [_alike(fit, white[:, equation], rows.used[:, equation]) for equation in range(4)]
     # of the equations that only the wrench is in, and of those of the contact
     groups = slice(0, 2), slice(2, 4)
-    squares, alike = (
-        [1 + max(excess[group]) for group in groups],
-        [max(run for run, _ in runs[group]) for group in groups],
-    )
+    squares = [1 + max(excess[group]) for group in groups]
+    alike = [max(run for run, _ in runs[group]) for group in groups]
     deviates = [max(excess[group]) > 0 or any(certain for _, certain in runs[group]) for group in groups]
-    spoiled = any(deviates) and (rough or max(excess) > _SPOILED or _in_plane(fit))
+    # with a variance of 1.3 the model does not fit
+    spoiled = any(deviates) and (rough or max(excess) > 0.3 or _in_plane(fit))
     inverse = np.linalg.pinv(fit.jacobian)
     covariance = inverse @ inverse.T
     for deviating, square, run, sentence in zip(deviates, squares, alike, (_WRENCHES, _CONTACTS), strict=True):
@@ -435,7 +431,7 @@ def _alike(fit: Fit, white: Array, used: Mask) -> tuple[float, bool]:
     touches = fit.problem.touches
     last, square = len(touches.number) - 1, float((white[used] ** 2).mean()) if used.any() else 1.0
     rows, pair, near, pairs_near = 1.0, 0.0, 0.0, 0
-    for lag in range(1, _FARTHEST):
+    for lag in range(1, 200):
         there = np.minimum(np.searchsorted(touches.number, touches.number + lag), last)
         both = (touches.number[there] == touches.number + lag) & (touches.sweep[there] == touches.sweep)
         both &= used & used[there]
@@ -443,7 +439,7 @@ def _alike(fit: Fit, white: Array, used: Mask) -> tuple[float, bool]:
         if not pairs:
             break
         pair += products / pairs / square
-        if lag <= _NEAR:
+        if lag <= 3:
             near, pairs_near = near + products, pairs_near + pairs
         if lag % 2 == 0:
             if pair <= 0:
@@ -460,10 +456,19 @@ def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:
         by_rig = fit.jacobian[: len(by_radius)]
         left = by_radius - by_rig @ (inverse @ (by_rig.T @ by_radius))
         information, slope = float(left @ by_radius), float(left @ white.ravel())
-        if information > 0 and slope**2 / information > _EXPLAINS * float((white**2).sum()):
+        if information > 0 and slope**2 / information > 0.1 * float((white**2).sum()):
             diameter = 2 * rod.length_m * (reference.radius - slope / information) - rod.diameter_m
             return f"The likeliest cause is the diameter: one of {length(diameter, 'm', digits=4)} would fit better."
-    return _PLANAR.format(kind=reference.kind) if _in_plane(fit) else _SHAPE.format(unlike=reference.unlike)
+    if _in_plane(fit):
+        return (
+            "The likeliest cause is a log whose forces lie in one plane, of a planar model or of a sensor with three "
+            f"channels; a rod that slides sideways over a {reference.kind} has none such."
+        )
+    return (
+        f"The likeliest causes are {reference.unlike}, a rod that is not as stated, a second contact, one that "
+        "sticks, poses that deviate from the clamp's path or by more than stated, and noise of the sensor that is "
+        "alike in neighbouring rows."
+    )
 
 
 def in_air(fit: Fit) -> float:
@@ -477,23 +482,9 @@ def _in_plane(fit: Fit) -> bool:
     touches = fit.problem.touches
     force = (touches.wrench - touches.basis @ fit.rig.tare.T)[:, :3]
     scatter = float(np.linalg.svd(force, compute_uv=False)[-1]) / np.sqrt(len(force))
-    return bool(fit.problem.channels.all()) and scatter < _FLAT * fit.noise.force
+    return bool(fit.problem.channels.all()) and scatter < 1.5 * fit.noise.force
 
 
-_CHECK = {"sphere": "the diameters of sphere and rod", "plane": "the flatness of the plane"}
-_ROUGH_POSES = (
-    "The contacts deviate from the {kind} as if the poses scattered by {off}, which is more than those of a robot do: "
-    "check {check}, and that the {kind} did not move."
-)
-_IN_THE_AIR = (
-    "In the air the reactions scatter by {factor:.2f} times the stated noise: the sensor drifts otherwise than the tare "
-    "assumes, or the noise is larger than stated; what is found in the air was used instead."
-)
-_CONTRADICTS = (
-    "In contact force and moment contradict a single force by {wrench}, and the noise in the air is {air}: gains and "
-    "cross-talk of the sensor's channels are estimated with the rig, what the touches do not tell of them is part of all "
-    "uncertainties, and scans with this sensor have them too."
-)
 _WRENCHES = (
     "In contact the moments about the rod and along the force deviate from zero by {off}: {effect}. The likeliest causes are "
     "noise of the sensor that is larger than stated or alike in neighbouring rows, friction across a thick rod, a second "
@@ -502,14 +493,416 @@ _WRENCHES = (
 _CONTACTS = "The contacts deviate from the {kind}, or the rod from its tangent, by {off}: {effect}. {cause}"
 _ENLARGES = "the uncertainties are enlarged by them"
 _SPOILS = (
-    "the model does not fit these touches, no quantity of the rig is called well determined, and the uncertainties are those "
-    "of deviations that are alike in all rows"
+    "the model does not fit these touches, no quantity of the rig is called well determined, and the uncertainties "
+    "are those of deviations that are alike in all rows"
 )
-_PLANAR = (
-    "The likeliest cause is a log whose forces lie in one plane, of a planar model or of a sensor with three channels; a rod "
-    "that slides sideways over a {kind} has none such."
-)
-_SHAPE = (
-    "The likeliest causes are {unlike}, a rod that is not as stated, a second contact, one that sticks, poses that deviate "
-    "from the clamp's path or by more than stated, and noise of the sensor that is alike in neighbouring rows."
-)
+
+
+FEWEST = 30
+"""Rows in contact that a calibration needs."""
+# Rigs that are tried where a fit is only begun.
+_BEGUN = 12
+_ALONG_ROD = np.array([0.0, 1.0, 0.0])
+
+
+def calibrated(
+    recording: Recording,
+    reference: float | Literal["plane"] | None,
+    tare: str = "auto",
+    pose_noise_m: float | None = None,
+) -> Fit:
+    """The fit of a rig, as `scan3d.calibrate`."""
+    if tare not in TARES:
+        raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
+    if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
+        raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
+    rod = recording.rod
+    touched = Plane.of(rod) if reference == Plane.kind else Sphere.of(reference, rod)
+    place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
+    problem, nominal = measured(recording, touched, tare)
+    first = 0.3 * ROBOTS if place is None else max(place / rod.length_m, NEGLIGIBLE)
+    # relative errors of the wrench are usually some thousandths
+    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, 2e-3 * problem.channels.all())
+    fit = _of_rig(problem, nominal, noise, place)
+    refusal = other = None
+    try:
+        _check(fit, recording)
+    except InputError as error:
+        refusal = error
+    # where poses of a robot scatter as much as the contacts of a refused fit, no shape of the rod would mend it
+    if is_shaped(fit) and (refusal is None or fit.noise.place > ROBOTS):
+        other = _shaped(problem, nominal, noise, recording, place)
+    if other is None and refusal is not None:
+        raise refusal
+    return other or fit
+
+
+def _of_rig(problem: Problem, nominal: Rig, noise: Noise, place: float | None) -> Fit:
+    """The fit from a nominal rig, begun with some rows; of a rod with a shape, which takes long, they are all."""
+    step = max(1, len(problem.touches.kind) // (400 if nominal.marched else 10_000))
+    few = problem.rows(np.arange(0, len(problem.touches.kind), step))
+    rig = first_rig(few, nominal, noise)
+    # the cosine of a tangential contact, and s1 of a tip contact in rod lengths, may be off for a first rig
+    strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, 0.01)
+    begun = fitted(strong, rig, noise, 1)
+    if nominal.marched and not _away(begun) < 3 * ROBOTS:  # a fit would take long, and be none
+        raise _no_fit(rig.reference, "")
+    free = _determined(strong, rig, step * begun.normal)
+    if (free != strong.free).any():
+        rig = fitted(replace(strong, free=free), _at_nominal(rig, nominal, free), noise).rig
+    length = rig.length if strong.free[LENGTH] else None
+    free[LENGTH] |= length is None  # tip contacts may turn up later
+    fit = _settled(replace(few, free=free), rig, noise, length, place is None)
+    if step > 1 and not nominal.marched:  # the fit of some rows is near that of all
+        length = fit.rig.length if fit.problem.free[LENGTH] else None
+        fit = _settled(replace(problem, free=free), fit.rig, fit.noise, length, place is None)
+    return fit if fit.problem.free[LENGTH] else replace(fit, rig=replace(fit.rig, length=nominal.length))
+
+
+def _shaped(problem: Problem, nominal: Rig, noise: Noise, recording: Recording, place: float | None) -> Fit | None:
+    """The fit of a rod whose shape is sought as well, if that explains all that the touches deviate by and is certain.
+
+    A shape may make up in part for a wrong diameter of a sphere, or for what no rod does.
+    """
+    free = problem.free.copy()
+    free[SHAPE:MIXING] = [True, True, problem.channels.all()]
+    try:
+        fit = _of_rig(replace(problem, free=free), replace(nominal, marched=True), noise, place)
+        _check(fit, recording)
+    except InputError:
+        return None
+    found = checked(fit, recording, place is None)
+    variances = np.diag(found.covariance)[SHAPE:MIXING]
+    certain = (variances > 0) & (fit.rig.shape**2 > CHANCE**2 * variances)
+    return fit if certain.any() and found.fits else None
+
+
+def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Problem, Rig]:
+    """The rows in contact and in the air, dimensionless, and the nominal rig."""
+    rod, known, six = recording.rod, recording.noise, recording.six_axis
+    if not six and not isinstance(reference, Sphere):
+        raise InputError(
+            f"a calibration by touches of {reference.title} needs forces and moments with all six components; with "
+            "three, touch a sphere"
+        )
+    channels, wrench = six_channels(recording)
+    unit = np.repeat([rod.force_unit_N, rod.moment_unit_Nm], 3)
+    wrench = wrench / unit
+    air = unloaded(recording.sweep, wrench, channels, (known.force_N / unit[0], known.moment_Nm / unit[3]), tare)
+    around = neighbours(wrench, recording.sweep, air.contact)
+    force = np.linalg.norm((around - air.basis @ air.tare.T)[:, :3], axis=1)
+    rows = np.flatnonzero(air.contact & (force > 20 * air.force_noise))
+    if len(rows) < FEWEST:
+        raise InputError(
+            f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs "
+            f"{FEWEST}: touch the {reference.kind} in more sweeps, and bend the rod more"
+        )
+    position = recording.position_m[rows] / rod.length_m
+    frame = recording.axes()[rows].swapaxes(1, 2)
+    kind = np.full(len(rows), Kind.EITHER, dtype=np.int8)
+    touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
+    free = np.ones(TARE + air.tare.size, dtype=bool)
+    free[SHAPE:TARE] = False
+    reference = replace(reference, origin=position.mean(axis=0))
+    if not six:
+        free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
+        free[TARE:] = np.repeat(channels, air.basis.shape[1])
+        # sweeps in a plane tell how far it is from the sphere's centre by the square only: its normal is one of the axes
+        reference = replace(reference, axes=frame[0])
+        free[[CLAMP + 2, PLACE + 2]] = np.ptp(position @ frame[0, :, 2]) > 0.1 * reference.size
+    light = replace(rod, weight_N=0.0)
+    nominal = Rig(
+        stiffness=0.0,
+        clamp=np.zeros(3),
+        tilt=np.zeros(2),
+        turn=np.eye(3),
+        sensor=np.zeros(3),
+        reference=reference,
+        length=1.0,
+        tare=air.tare,
+        mixing=np.zeros((6, 6)),
+        stated=light.in_space(),
+        shape=np.zeros(3),
+        marched=not light.is_simple,
+    )
+    return Problem(touches, air, channels, free), nominal
+
+
+def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, estimate: bool) -> Fit:
+    """The fit of rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
+    seen: set[tuple[bytes, bytes]] = set()
+    for _ in range(8):
+        problem.free[MIXING:TARE] = noise.mixing > 0
+        chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
+        # a rod whose shape is sought takes long, and a shape that is one is soon found from the first rig
+        fit = fitted(chosen, rig, noise, *[_BEGUN] * bool(problem.free[SHAPE] and not seen))
+        if problem.free[SHAPE] and not fit.at_rest:
+            break
+        rig, length = fit.rig, fit.rig.length if chosen.free[LENGTH] else None
+        noise = estimates(fit, estimate)
+        # few rows may alternate between two states
+        state = chosen.touches.number.tobytes(), chosen.touches.kind.tobytes()
+        if state in seen and np.allclose(noise, fit.noise, rtol=0.01, atol=NEGLIGIBLE):
+            break
+        seen.add(state)
+    return fit
+
+
+def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:
+    """The rows whose contacts are known well enough along the rod, by their neighbours."""
+    scale = np.exp(-rig.stiffness)
+    force, moment = clamp_wrench(rig, problem.touches._replace(wrench=problem.touches.around))
+    by_s1 = scale * bent(rig, scale * force, scale * moment).by_s1
+    deviation = np.repeat([noise.force, np.hypot(noise.moment, np.linalg.norm(rig.sensor) * noise.force)], 3)
+    with np.errstate(invalid="ignore"):  # farther off, the reference curves within the errors of a row
+        strong = np.linalg.norm(by_s1 * deviation, axis=1) < 0.12 * rig.reference.size
+    if (count := int(strong.sum())) < FEWEST:
+        raise _no_fit(
+            rig.reference,
+            f", or touch it too lightly: {count} rows place the contact to {rig.reference.extent}, and a calibration "
+            f"needs {FEWEST}",
+        )
+    return problem.rows(strong)
+
+
+def _with_kinds(
+    problem: Problem, rig: Rig, noise: Noise, length: float | None, slack: float = 0.0
+) -> tuple[Problem, Rig]:
+    """The problem with the kinds of contacts that their neighbours make likelier, and the rig with its free length.
+
+    `length` is that length if it is known; otherwise the contacts tell with which one they are likeliest.  Without tip
+    contacts it is not sought.  A tangential contact does not lie past the tip, and at the tip the rod does not point away
+    from the reference: what contradicts this counts as a misfit as well.
+    """
+    tangential, tip = (
+        adjusted(problem.with_kinds(np.full_like(problem.touches.kind, kind)), rig, noise, slack=slack)
+        for kind in (Kind.TANGENTIAL, Kind.TIP)
+    )
+    known = tangential.used[:, 3] & tip.used[:, 3]
+    variances = noise.variances(problem)
+    cosine_sd, s1_sd = (
+        np.sqrt((rows.by_row[:, 3] ** 2 * variances).sum(axis=1) + slack**2 + ~known) for rows in (tangential, tip)
+    )
+    tried = [rig.length if length is None else length]
+    if length is None and known.any():
+        tried = list(rig.length + np.quantile(tip.misclosure[known, 3], np.linspace(0.3, 1.0, 71)))
+    costs = []
+    for shift in rig.length - np.array(tried):
+        # a shorter rod moves the fourth equation of the tip only
+        as_tip = tip.white + shift * tip.factor[:, :, 3]
+        costs.append(
+            (
+                (tangential.white**2).sum(axis=1) + np.maximum((tip.misclosure[:, 3] + shift) / s1_sd, 0) ** 2,
+                (as_tip**2).sum(axis=1) + np.maximum(tangential.misclosure[:, 3] / cosine_sd, 0) ** 2,
+            )
+        )
+    best = int(np.argmin([np.minimum(*cost)[known].sum() for cost in costs]))
+    likelier = np.where(known, costs[best][0] - costs[best][1], 0.0)
+    kind = _by_neighbours(likelier, problem.touches.sweep)
+    # a few rows that contradict their neighbours, such as those after a jump, would spoil the fit of all
+    kind[np.where(kind == Kind.TIP, -likelier, likelier) > CHANCE**2] = Kind.UNSURE
+    tips = kind == Kind.TIP
+    if tips.sum() < 8:  # too few to tell the length
+        kind[tips] = Kind.UNSURE
+    free = problem.free.copy()
+    free[LENGTH] &= bool((kind == Kind.TIP).any())
+    return replace(problem.with_kinds(kind), free=free), replace(rig, length=float(tried[best]))
+
+
+def _by_neighbours(likelier: Array, sweep: NDArray[np.int64]) -> NDArray[np.int8]:
+    """The kinds (n,) of contacts, by how much likelier the tip is for the rows before and after them in their sweep.
+
+    Contacts change their kind now and then.  A change costs as much as the evidence that makes a kind certain, so that no
+    more than this is handed on from row to row (the Viterbi algorithm for two states).
+    """
+    kind, certain = np.full(len(likelier), Kind.UNSURE, dtype=np.int8), 12.0
+    for number in np.unique(sweep):
+        rows = np.flatnonzero(sweep == number)
+        around = np.zeros(len(rows))
+        for order in (slice(None), slice(None, None, -1)):
+            total = 0.0
+            for place in np.arange(len(rows))[order]:
+                around[place] += total
+                total = min(max(total + float(likelier[rows[place]]), -certain), certain)
+        kind[rows[around <= -certain]] = Kind.TANGENTIAL
+        kind[rows[around >= certain]] = Kind.TIP
+    return kind
+
+
+def _determined(problem: Problem, rig: Rig, normal: Array) -> Mask:
+    """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
+    free = problem.free.copy()
+    widths, order = problem.widths_and_ranks
+    while True:
+        rows = np.flatnonzero(free)
+        size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])
+        if size[0] > max(1.0, ROUNDING * size[-1]):
+            break
+        part = np.abs(vectors[:, 0]) * order[rows]
+        if part.max() < 1e-3:  # what is left has no nominal value
+            raise InputError(
+                f"the touches do not determine the {rig.reference.kind}'s place: sweep it in more directions of the "
+                "rod, with the clamp turned about the rod's axis, and bend the rod more"
+            )
+        free[rows[np.argmax(part)]] = False
+    about_rod = rows == TURN + 1
+    if about_rod.any():
+        variance = float(((vectors[about_rod] * widths[TURN + 1]) ** 2 / size).sum())
+        # without friction the distance from the reference depends on this turn to the second order only, so that linear
+        # uncertainties of more than a hundredth of a radian do not hold
+        free[TURN + 1] = variance < 0.01**2
+    return free
+
+
+def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
+    """The rig with the parameters that are not determined at their nominal values."""
+    return replace(
+        rig,
+        stiffness=rig.stiffness if free[STIFFNESS] else nominal.stiffness,
+        clamp=np.where(free[CLAMP:TILT], rig.clamp, nominal.clamp),
+        tilt=np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
+        turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
+        sensor=np.where(free[SENSOR:PLACE], rig.sensor, nominal.sensor),
+        length=rig.length if free[LENGTH] else nominal.length,
+        shape=np.where(free[SHAPE:MIXING], rig.shape, nominal.shape),
+    )
+
+
+def _check(fit: Fit, recording: Recording) -> None:
+    """Raise InputError for a fit that is none, with what was seen."""
+    used, noise = fit.rows.used[:, 2], fit.noise
+    usable = used.sum() >= max(FEWEST, 0.3 * len(used))
+    normal = np.diag(fit.normal)[fit.problem.free]
+    known = np.isfinite(normal).all() and (normal > 0).all()
+    # what deviates by more is not a rod, or not a sensor, that is read rightly, or not this reference
+    fits = noise.relative <= 0.1 and noise.place <= 10 * ROBOTS
+    if fits and fit.at_rest and usable and known and abs(fit.rig.stiffness) < 2.5:
+        return
+    seen = [f"the noise in the air is {share(in_air(fit))}"]
+    if fit.problem.channels.all():
+        seen.insert(0, f"force and moment contradict a single force by {share(noise.relative)}")
+    if used.any():
+        away = recording.rod.length_m * _away(fit)
+        seen.append(f"{used.sum()} of {len(used)} contacts lie {length(away, 'm', digits=2)} from it in the median")
+    raise _no_fit(fit.rig.reference, f" ({', '.join(seen)})")
+
+
+def _away(fit: Fit) -> float:
+    """The median distance of the contacts from the reference, in rod lengths; NaN without any."""
+    away = np.abs(fit.rows.misclosure[fit.rows.used[:, 2], 2])
+    return float(np.median(away)) if len(away) else math.nan
+
+
+def _no_fit(reference: Reference, detail: str) -> InputError:
+    return InputError(
+        f"the touches do not fit {reference.title}{detail}: check {reference.check}, the rod, the units and signs of "
+        f"forces and moments, that each sweep begins and ends in the air, and that the {reference.kind} did not move"
+    )
+
+
+def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
+    """A rig whose contacts lie near the reference and, where they are far from the tip, are tangential.
+
+    It is sought on a grid with some rows, and improved with more.
+    """
+    free = problem.free.copy()
+    free[LENGTH:] = False  # the tare is that of the rows in the air
+    # a straight and uniform rod, of which the fit in closed form is fast, is a start for one whose shape is sought
+    nominal = replace(nominal, marched=not nominal.stated.is_straight_and_uniform)
+    # contacts of light touches are far from linear in the noise
+    force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
+    heavy = np.flatnonzero(force >= np.median(force))
+    coarse = replace(problem.rows(evenly(heavy, 400)), free=free)
+    searched = coarse.touches.rows(evenly(np.arange(len(coarse.touches.kind)), 150))
+    if problem.channels.all():
+        turns, frames, offsets = (
+            np.radians(np.arange(0, 360, 15)),
+            *_by_consistency(nominal, coarse.touches, noise),
+        )
+    else:
+        frames = [Rotation.from_euler("z", angle).as_matrix() for angle in np.radians(np.arange(-60, 61, 15))]
+        turns, offsets = np.zeros(1), [nominal.sensor] * len(frames)
+    grid = [
+        scored
+        for frame, offset in zip(frames, offsets, strict=True)
+        for scored in _on_grid(replace(nominal, turn=frame, sensor=offset), searched, turns, free)
+    ]
+    rigs = [rig for _, rig in sorted(grid, key=lambda scored: scored[0])[:4]]
+    rigs += [replace(nominal, reference=rig.reference) for rig in rigs[:1]]
+    if not rigs:
+        return nominal
+    # a rod that is not straight leads exact fits astray, unless contacts and wrenches may be off by its shape
+    rough = noise._replace(place=0.03, relative=0.03)
+    begun = [fitted(_far_from_tip(coarse, rig), rig, rough, _BEGUN) for rig in rigs]
+    begun.sort(key=lambda fit: fit.cost)
+    best = begun[0].rig
+    if problem.free[SHAPE]:
+        if not _away(begun[0]) < 10 * ROBOTS:  # as far as contacts of no fit
+            raise _no_fit(best.reference, "")
+        free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
+        coarse = replace(problem.rows(evenly(heavy, 150)), free=free)
+        return _with_shape(coarse, [fit.rig for fit in begun], noise, rough)
+    return fitted(_far_from_tip(coarse, best), best, noise).rig
+
+
+def _with_shape(problem: Problem, rigs: list[Rig], noise: Noise, rough: Noise) -> Rig:
+    """The first of rigs with straight rods, the best ones first, from which a fit leads to a shape that noise explains, or
+    the one with the best fit."""
+    found: list[Fit] = []
+    for rig in rigs[:3]:
+        rig = replace(rig, marched=True)
+        begun = fitted(_far_from_tip(problem, rig), rig, rough, _BEGUN).rig
+        found.append(fitted(_far_from_tip(problem, begun), begun, noise, _BEGUN))
+        if found[-1].at_rest and found[-1].cost < found[-1].freedom + CHANCE * math.sqrt(2 * found[-1].freedom):
+            break
+    return min(found, key=lambda fit: fit.cost).rig
+
+
+def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
+    """The problem in which contacts that are certainly not at the tip are tangential; for a rough rig."""
+    s1 = contacts(rig, problem.touches)[1]
+    known = s1[np.isfinite(s1)]
+    far = s1 < 0.85 * np.quantile(known, 0.98) if len(known) else np.zeros(len(s1), dtype=bool)
+    return problem.with_kinds(np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8))
+
+
+def _by_consistency(nominal: Rig, touches: Touches, noise: Noise) -> tuple[list[Array], list[Array]]:
+    """Turns of the sensor, up to one about the rod, and its places, up to one along the rod."""
+    tared = touches.wrench - touches.basis @ nominal.tare.T
+    deviation = np.repeat([noise.moment, noise.force], 3)
+    _, size, rows = np.linalg.svd(np.roll(tared, 3, axis=1) / deviation, full_matrices=False)
+    along, offset = _ALONG_ROD, np.zeros(3)
+    if size[-2] > 1.3 * size[-1]:  # else the rod's direction does not follow from the wrench
+        solution = rows[-1] / deviation
+        along, cross = solution[:3] / np.linalg.norm(solution[:3]), solution[3:] / np.linalg.norm(solution[:3])
+        offset = np.cross(cross, along)
+    frames = [Rotation.align_vectors([_ALONG_ROD], [axis])[0].as_matrix() for axis in (along, -along)]
+    return frames, [frame @ offset for frame in frames]
+
+
+def _on_grid(rig: Rig, touches: Touches, turns: Array, free: Mask) -> list[tuple[float, Rig]]:
+    """Rigs of a grid about a rig: with turns about the rod, distances along it in rod lengths, and logarithms of the stiffness,
+    and the median distance of their contacts from the reference."""
+    scored = []
+    outside = touches.position.mean(axis=0)
+    turned = Rotation.from_rotvec(np.outer(turns, _ALONG_ROD)).as_matrix()
+    for along in np.linspace(-1.0, 1.0, 21):
+        for stiffness in np.log([0.5, 0.7, 1.0, 1.4, 2.0]):
+            moved = replace(rig, sensor=rig.sensor + along * _ALONG_ROD, stiffness=float(stiffness))
+            point = contacts(moved, touches)[0]
+            known: Mask = np.asarray(np.isfinite(point).all(axis=1))
+            if known.sum() < max(len(known) / 2, 8):
+                continue
+            world = np.einsum("nij,tjk,nk->tni", touches.frame[known], turned, point[known]) + touches.position[known]
+            best, reference, misfit = rig.reference.nearest(world, outside)
+            # what is not sought of its place is that of the nominal rig
+            back = reference.axes.T @ (rig.reference.origin - reference.origin)
+            reference = reference.moved(np.where(free[PLACE:LENGTH], 0.0, back))
+            better = replace(
+                moved,
+                turn=turned[best] @ rig.turn,
+                sensor=turned[best] @ moved.sensor,
+                reference=reference,
+            )
+            scored.append((misfit + float((~known).mean()), better))
+    return scored

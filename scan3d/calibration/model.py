@@ -28,14 +28,12 @@ import planar
 from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask
 from scan3d.calibration.references import Reference
-from scan3d.frames import to_outer, wrench_matrix
+from scan3d.rigs import to_outer, wrench_matrix
 from scan3d.spatial.inverse import PAST_TIP, reconstruct
 from scan3d.spatial.march import SpatialRod, reshaped
 
 # Where the parameters stand in their vector, by their numbers; the tare follows them.
 STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, SHAPE, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 3, 36))
-# Steps of the differences by the wrench, relative to it, and by the shape of the rod: between their error and rounding.
-_DIFFERENCE = 1e-5
 
 
 class Kind(IntEnum):
@@ -200,7 +198,8 @@ def bent(rig: Rig, force: Array, moment: Array) -> Bent:
 
 
 def _of_shape(rig: Rig, force: Array, moment: Array) -> Bent:
-    """`bent` of any rod, by differences."""
+    """`bent` of any rod, by differences in steps relative to the wrench, and of the shape, between their error and rounding."""
+    difference = 1e-5
 
     def at(wrench: Array, change: Array) -> Array:
         rod = reshaped(rig.stated, rig.shape + change)
@@ -208,10 +207,10 @@ def _of_shape(rig: Rig, force: Array, moment: Array) -> Bent:
         return np.column_stack([found.point, found.tangent, found.s1, found.torsion])
 
     wrench, n = np.hstack([force, moment]), len(force)
-    sizes = _DIFFERENCE * np.repeat([np.linalg.norm(part, axis=1) for part in (force, moment)], 3, axis=0).T
+    sizes = difference * np.repeat([np.linalg.norm(part, axis=1) for part in (force, moment)], 3, axis=0).T
     moved = at(np.concatenate([wrench, *(wrench + step * sizes for step in np.eye(6))]), np.zeros(3))
-    values = np.concatenate([moved, *(at(wrench, step) for step in _DIFFERENCE * np.eye(3))]).reshape(10, n, 8)
-    steps = np.hstack([sizes, np.full((n, 3), _DIFFERENCE)])
+    values = np.concatenate([moved, *(at(wrench, step) for step in difference * np.eye(3))]).reshape(10, n, 8)
+    steps = np.hstack([sizes, np.full((n, 3), difference)])
     with np.errstate(all="ignore"):
         slopes = np.moveaxis((values[1:] - values[0]) / steps.T[:, :, None], 0, -1)
     point, tangent, s1, torsion = np.split(values[0], [3, 6, 7], axis=1)

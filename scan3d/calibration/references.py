@@ -25,16 +25,14 @@ from scipy.special import chdtri, ndtr
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask
 from scan3d.errors import InputError
-from scan3d.frames import Frame, to_inner, to_outer
 from scan3d.recording import Recording
+from scan3d.rigs import Frame, to_inner, to_outer
 from scan3d.rods import Rod
 from scan3d.spatial.march import free_reactions
 from scan3d.units import length
 
 # Standard deviations that count as chance.
 CHANCE = 4.5
-# Largest diameter of a reference sphere in rod lengths; larger ones are planes to a rod.
-_LARGEST = 1e3
 
 
 class Met(NamedTuple):
@@ -76,11 +74,10 @@ class Sphere:
             raise InputError(
                 f"the reference sphere needs a diameter above 0, got {diameter_m!r}; the other reference is 'plane'"
             )
-        if diameter_m > _LARGEST * rod.length_m:
+        if diameter_m > 1000 * rod.length_m:  # to a rod it is a plane
             raise InputError(
                 f"the reference sphere has a diameter of {length(diameter_m, 'm')}, and the rod a length of "
-                f"{length(rod.length_m, 'm')}; "
-                "check the unit of the diameter, or touch a plane"
+                f"{length(rod.length_m, 'm')}; check the unit of the diameter, or touch a plane"
             )
         return cls(diameter_m, (diameter_m + rod.diameter_m) / 2 / rod.length_m, np.zeros(3), np.eye(3))
 
@@ -175,17 +172,12 @@ class Plane:
 Reference = Sphere | Plane
 
 
-# Rows at an end of a sweep that give its level, and rows in the air that a calibration needs.
-_LEVEL, _FEWEST = 5, 12
+# Rows at an end of a sweep that give its level.
+_LEVEL = 5
 # Deviations from the level, in standard deviations of the largest channel, up to which a row counts as air, and beyond
 # which it counts as contact for certain; and the range of the rows of an end in the air.  The force of a touch grows
 # steadily, so that rows between the first two are as many as those before them in which the noise hides the touch.
 _AIR, _CONTACT, _CALM = 4.0, 12.0, 6.0
-# Parts of the largest reaction: drift within a sweep that counts as noise while the air is sought, distance of the levels of
-# sweeps in the air, and the least noise, so that exact data have weights.
-_DRIFT, _DRIFTED, _EXACT = 5e-4, 0.1, 1e-6
-# Neighbours on either side of a row that decide whether it is used.
-_NEIGHBOURS = 3
 _PARTS = (slice(0, 3), slice(3, 6))
 
 Runs = list[NDArray[np.intp]]
@@ -221,14 +213,14 @@ def unloaded(
     """
     runs = [np.flatnonzero(sweep == number) for number in np.unique(sweep)]
     largest = np.maximum(np.repeat([np.abs(wrench[:, part]).max() for part in _PARTS], 3), np.finfo(float).tiny ** 0.25)
-    known, least = np.repeat(noise, 3), _EXACT * largest
+    known, least = np.repeat(noise, 3), 1e-6 * largest  # so that exact data have weights
     ends = [rows[part] for rows in runs for part in (slice(0, _LEVEL), slice(-_LEVEL, None)) if len(rows) > _LEVEL]
     # stated noise may be understated, and a sensor may drift by more than its noise within a sweep
-    rough = np.maximum(np.maximum(_noise_of_runs(wrench, ends, channels, _typical), known), _DRIFT * largest)
+    rough = np.maximum(np.maximum(_noise_of_runs(wrench, ends, channels, _typical), known), 5e-4 * largest)
     air, contact = _separated(np.where(channels, wrench / rough, 0.0), runs)
-    if air.sum() < _FEWEST:
+    if air.sum() < 12:
         raise InputError(
-            f"the recording has {air.sum()} rows in the air, and a calibration needs {_FEWEST}: let each sweep begin and end "
+            f"the recording has {air.sum()} rows in the air, and a calibration needs 12: let each sweep begin and end "
             "some rows before and after the rod touches the reference"
         )
     quiet = [
@@ -359,7 +351,7 @@ def _separated(scaled: Array, runs: Runs) -> tuple[Mask, Mask]:
     levels = np.array([[np.median(part, axis=0) for part in pair] for pair in parts])
     calm = np.array([[np.ptp(part, axis=0).max() <= _CALM for part in pair] for pair in parts])
     middle = np.median(levels[:, 0], axis=0)
-    near = np.abs(levels - middle).max(axis=2) <= max(_DRIFTED * float(np.abs(scaled - middle).max()), _AIR)
+    near = np.abs(levels - middle).max(axis=2) <= max(0.1 * float(np.abs(scaled - middle).max()), _AIR)
     alike = np.abs(levels[:, 0] - levels[:, 1]).max(axis=1) <= _CALM
     free = calm & (near | alike[:, None])
     air, contact = np.zeros(len(scaled), dtype=bool), np.zeros(len(scaled), dtype=bool)
@@ -388,14 +380,14 @@ def neighbours(wrench: Array, sweep: NDArray[np.int64], contact: Mask) -> Array:
     It is that of the straight line through up to three rows before and three after it.
     """
     result: Array = wrench.copy()
-    offsets = np.delete(np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), _NEIGHBOURS)
+    offsets = np.array([-3, -2, -1, 1, 2, 3])
     for number in np.unique(sweep[contact]):
         rows = np.flatnonzero((sweep == number) & contact)
         index = np.arange(len(rows))[:, None] + offsets
         inside = np.asarray((index >= 0) & (index < len(rows)))
         index = np.clip(index, 0, len(rows) - 1)
         away = rows[index] - rows[:, None]
-        inside &= np.abs(away) <= _NEIGHBOURS
+        inside &= np.abs(away) <= 3
         count = np.maximum(inside.sum(axis=1, keepdims=True), 1)
         middle = (away * inside).sum(axis=1, keepdims=True) / count
         spread = inside * (away - middle)

@@ -12,17 +12,14 @@ from typing import Any, Literal
 import numpy as np
 
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.estimate import calibrated
-from scan3d.calibration.fit import Fit, checked
+from scan3d.calibration.fit import Fit, calibrated, checked
 from scan3d.calibration.model import PLACE, SENSOR, SHAPE, TURN, Kind, Rig
 from scan3d.calibration.references import CHANCE, Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.errors import InputError
-from scan3d.files.reading import Section, read_rod, read_section, rod_section
-from scan3d.files.text import to_toml
+from scan3d.files.text import Section, read_rod, read_section, rod_section, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_file, folder, write_atomic
-from scan3d.frames import Frame, euler_of, to_outer, turn_of
 from scan3d.recording import Recording, reaction_columns
-from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
+from scan3d.rigs import RIG_QUANTITIES, Frame, RigUncertainty, euler_of, to_outer, turn_of
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.units import force, length
@@ -231,14 +228,20 @@ def calibrate(
             recording, rod, Frame(nominal.length_m * rig.sensor, rig.turn), rig.clamp_axes()[0], air, place
         )
         names, values = (*names, "weight_N"), np.append(values, weight.weight_N)
-        deviations, limits = np.append(deviations, weight.sd_N), np.append(limits, _LIGHT * nominal.force_unit_N)
+        # a weight that moves contacts by a thousandth of the rod at most
+        deviations, limits = np.append(deviations, weight.sd_N), np.append(limits, 0.01 * nominal.force_unit_N)
         covariance = np.pad(covariance, (0, 1))
         covariance[-1, -1] = weight.sd_N**2 if np.isfinite(weight.sd_N) else 0.0
         if weight.tare_and_drift is not None:
             rod, tare_and_drift = dataclasses.replace(rod, weight_N=weight.weight_N), weight.tare_and_drift
         elif weight.weight_N > CHANCE * weight.sd_N:
-            sentences += (_CARRIED.format(force(weight.weight_N)),)
-    sentences += (_WEIGHT,) * bool(rod.weight_N)
+            sentences += (
+                f"In the air the sensor carries {force(weight.weight_N)}, whose centre is not the rod's: what else "
+                "hangs at it was weighed with the rod, which has no weight in this file; weigh the rod, and state "
+                "weight_N.",
+            )
+    if rod.weight_N:
+        sentences += ("The rod's weight is not part of this fit: what it adds to the reactions counts as tare.",)
     well = COVERAGE_FACTOR * deviations <= limits
     if premises.spoiled:
         well &= [name.startswith(("tare", "drift", "weight")) for name in names]
@@ -334,10 +337,6 @@ OF_CONTACTS = (
     "weight_N",
 )
 """The quantities of a calibration that change contacts."""
-# Expanded uncertainty in degrees up to which an angle counts as well determined.
-_DEGREES = 0.3
-# Step of difference quotients; and a weight in EI/L² that moves contacts by a thousandth of the rod at most.
-_STEP, _LIGHT = 1e-5, 0.01
 
 
 def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
@@ -378,12 +377,12 @@ def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
 
 def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, Mask]:
     """(q, p) derivatives of the quantities by the parameters, and which quantities (q,) the touches determine."""
-    columns = []
-    for step in _STEP * np.eye(len(fit.problem.free)):
+    size, columns = 1e-5, []
+    for step in size * np.eye(len(fit.problem.free)):
         ahead, behind = (np.array(list(quantities(fit, fit.rig.moved(s), nominal).values())) for s in (step, -step))
-        columns.append((ahead - behind) / (2 * _STEP))
+        columns.append((ahead - behind) / (2 * size))
     slopes = np.column_stack(columns)
-    angles, half_turn = [name.endswith("_deg") for name in names], 180 / _STEP
+    angles, half_turn = [name.endswith("_deg") for name in names], 180 / size
     slopes[angles] = (slopes[angles] + half_turn / 2) % half_turn - half_turn / 2
     # less is their rounding
     slopes[np.abs(slopes) < 1e-7 * np.abs(slopes).max(axis=1, keepdims=True)] = 0
@@ -397,7 +396,8 @@ def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, 
 def limit(name: str, value: float, nominal: Rod, fit: Fit) -> float:
     """The expanded uncertainty up to which a quantity is well determined: 1 % of the stiffness, 0.5 % of the rod for lengths.
 
-    The tare is then known to the noise of a row, the tip's diameter to 3 % of the clamp's, curvatures to 0.02 over the length.
+    Angles are then known to 0.3°, the tare to the noise of a row, the tip's diameter to 3 % of the clamp's, and curvatures to
+    0.02 over the length.
     """
     if name.startswith("bending"):
         return 0.01 * value
@@ -407,9 +407,9 @@ def limit(name: str, value: float, nominal: Rod, fit: Fit) -> float:
     if name.startswith(("tip_diameter", "curvature")):
         return 0.03 if name.startswith("tip") else 0.02 / nominal.length_m
     if name.startswith("plane_normal"):
-        return float(np.radians(_DEGREES))
+        return float(np.radians(0.3))
     if name.endswith("_deg"):
-        return _DEGREES
+        return 0.3
     return 0.005 * nominal.length_m * (1000 if name.endswith("_mm") else 1)
 
 
@@ -426,7 +426,11 @@ def lacking(fit: Fit, names: tuple[str, ...], deviations: Array, limits: Array, 
             poor.setdefault(group, []).append(f"{name} to {COVERAGE_FACTOR * deviation:.2g}")
     if "sensor_turn" in fixed:
         lost = ", ".join(fixed.pop("sensor_turn") + fixed.pop("sensor", []))
-        sentences.append(_ABOUT_THE_ROD.format(names=lost, noun=noun))
+        sentences.append(
+            f"These touches do not determine the sensor's turn about the rod: {lost} are a first estimate, which may "
+            f"be wrong by some degrees. It needs a {noun} with more friction, because without friction contacts stay "
+            f"on the {noun} when they turn about the rod; and sweeps that bend the rod more."
+        )
     for group, members in fixed.items():
         what, touches = _TOUCHES[group]
         stay = "are estimates" if group == noun else "stay" + "s" * (len(members) == 1) + " at the nominal value"
@@ -436,8 +440,8 @@ def lacking(fit: Fit, names: tuple[str, ...], deviations: Array, limits: Array, 
         sentences.append(f"These touches determine {what} poorly ({', '.join(members)}). It needs {touches}.")
     if noun == "sphere" and not fit.problem.free[PLACE + 2]:
         sentences.append(
-            "The sweeps lie in one plane, in which the rod is taken to pass through the sphere's centre; to test this, sweep "
-            "planes at several heights."
+            "The sweeps lie in one plane, in which the rod is taken to pass through the sphere's centre; to test "
+            "this, sweep planes at several heights."
         )
     return tuple(sentence.format(noun=noun) for sentence in sentences)
 
@@ -466,7 +470,8 @@ _TOUCHES = {
     ),
     "clamp_y": (
         "the clamp's offset along the rod",
-        "sweeps with the rod in other directions, such as from the opposite side of a sphere or more inclined to a plane",
+        "sweeps with the rod in other directions, such as from the opposite side of a sphere or more inclined to a "
+        "plane",
     ),
     "clamp": (
         "the clamp's offset across the rod",
@@ -480,20 +485,6 @@ _TOUCHES = {
     "tare": ("the tare", "more rows in the air, before and after each touch"),
     "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
 }
-_CARRIED = (
-    "In the air the sensor carries {}, whose centre is not the rod's: what else hangs at it was weighed with the rod, which "
-    "has no weight in this file; weigh the rod, and state weight_N."
-)
-_WEIGHT = "The rod's weight is not part of this fit: what it adds to the reactions counts as tare."
-_ABOUT_THE_ROD = (
-    "These touches do not determine the sensor's turn about the rod: {names} are a first estimate, which may be wrong by some "
-    "degrees. It needs a {noun} with more friction, because without friction contacts stay on the {noun} when they turn about "
-    "the rod; and sweeps that bend the rod more."
-)
-
-
-_MARK = "# rig calibrated by scan3d\n"
-_FIT = ("chi2_per_freedom", "consistency", "freedom", "sentences")
 
 
 def check_path(path: str | Path, inputs: Inputs, overwrite: bool) -> None:
@@ -510,7 +501,7 @@ def write_rig(calibration: Calibration, path: str | Path, *, overwrite: bool = F
     """
     check_path(path, {}, overwrite)
     with folder(Path(path).parent):
-        write_atomic(path, (_MARK + to_toml(sections(calibration))).encode(errors="replace"))
+        write_atomic(path, ("# rig calibrated by scan3d\n" + to_toml(sections(calibration))).encode(errors="replace"))
 
 
 def sections(calibration: Calibration) -> dict[str, Any]:
@@ -568,6 +559,7 @@ def read_rig(path: str | Path) -> Calibration:
     uncertainty.any("coverage_factor")
     frames, names = data.section("map"), tuple(quantities.data)
     covariance, well = _covariance(data.section("covariance"), names)
+    known = ("chi2_per_freedom", "consistency", "freedom", "sentences")
     calibration = Calibration(
         rod=read_rod(rod),
         sensor_position_m=_three(sensor, "position_mm") / 1000,
@@ -589,7 +581,7 @@ def read_rig(path: str | Path) -> Calibration:
         noise_force_N=noise.number("force_N", 0.0),
         noise_moment_Nm=noise.number("moment_Nm", 0.0),
         reference=_read_reference(data),
-        details={key: fit.any(key) for key in fit.data if key not in _FIT},
+        details={key: fit.any(key) for key in fit.data if key not in known},
         map_frames={title: dict(frames.notes(title)) for title in ("sensor", "clamp") if title in frames},
     )
     data.finish("; scan3d calibrate writes such a file")

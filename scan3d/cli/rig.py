@@ -107,8 +107,8 @@ def plan(
     unit
         unit of the bounding body, of floor and speed
     """
-    from scan3d.files.reading import rod_section
     from scan3d.files.recordings import check_poses, write_poses
+    from scan3d.files.text import rod_section
     from scan3d.files.whole import folder
     from scan3d.planning.rig import RigPlan, largest_force, parse_envelope, plan_poses
 
@@ -242,8 +242,8 @@ def simulate_rig(
 ) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.reading import read_section
     from scan3d.files.recordings import RAW_COLUMNS, check_path, map_path, read_poses, sidecar
+    from scan3d.files.text import read_section
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
     from scan3d.simulation.rig import read_faults
@@ -307,8 +307,8 @@ def simulate_rig(
 def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
-    from scan3d.files.reading import rod_section
     from scan3d.files.recordings import RAW_COLUMNS, recording_files, write_log
+    from scan3d.files.text import rod_section
     from scan3d.files.whole import write_together
     from scan3d.poses import MOVES
 
@@ -523,7 +523,7 @@ def import_(
 
 def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) -> int:
     from scan3d.files.whole import folder, write_atomic
-    from scan3d.laboratory.guessing import guess_map
+    from scan3d.laboratory.maps import guess_map
 
     path = map_file or raw.with_suffix(".map.toml")
     if path.exists() and not overwrite:

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d.choices import Color, View, one_of
+from scan3d.choices import WITH_OTHER, Color, View, one_of
 from scan3d.cli.terminal import File, Flag, Mesh, Output, Overwrite, print_result, printable
 from scan3d.errors import InputError, UsageError
-from scan3d.pictures.sheet import WITH_OTHER, sheet
 from scan3d.units import Unit
 
 
@@ -82,12 +81,13 @@ def show(
     _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
     if against:
         _check_against(truth or hull, movie, color, view)
+    from scan3d.files.whole import check_file, write_atomic
+    from scan3d.pictures import canvas, drawing, figures, page, views
+
     try:
-        chosen = sheet(size, dpi, camera)
+        chosen = figures.sheet(size, dpi, camera)
     except InputError as error:
         raise UsageError(str(error)) from None
-    from scan3d.files.whole import check_file, write_atomic
-    from scan3d.pictures import canvas, drawing, page, views
 
     if not (screenshot or html or movie):
         canvas.need_display()

@@ -355,7 +355,7 @@ def export(
     unit
         unit of the lengths in the file, such as m for ROS (default: the recording's)
     """
-    from scan3d.files.formats import export as export_shape
+    from scan3d.files.shapes import export as export_shape
 
     written = export_shape(source, to, what, unit=unit, overwrite=overwrite)
     shape = f"{written['points']} contacts"

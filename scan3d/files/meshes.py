@@ -17,8 +17,8 @@ from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
-from scan3d.files.formats import read_glb
-from scan3d.files.reading import check_file
+from scan3d.files.shapes import read_glb
+from scan3d.files.text import check_readable
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import deepest_dent
@@ -282,7 +282,7 @@ def _read(path: Path) -> bytes:
     if path.suffix[1:].lower() not in FORMATS:
         raise InputError(f"{path.name} isn't a mesh file by its ending, which should be one of .{', .'.join(FORMATS)}")
     try:
-        check_file(path, memory_per_byte=10)
+        check_readable(path, memory_per_byte=10)
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path.name} can't be read: {error.strerror or error}; check its permissions") from error

@@ -1,8 +1,19 @@
-"""Clouds and surfaces as tables with named columns, and the binary PLY that holds them."""
+"""Clouds and surfaces in files: as tables with named columns, in the binary PLY that holds them, and in other formats.
+
+Points keep their world coordinates in the recording's unit, or in another one that is asked for; GLB is in
+metres, with y up, by its specification.  Normals and scalars are written where the format can contain them, unit and
+frame where the format allows comments.  docs/files.md lists which program reads which format.
+
+Of binary glTF 2.0 (https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html) x of the world's axes stays, z becomes y, and y
+becomes -z.  The libraries that the program uses do not write the normals of points, and read sparse accessors, fans, normalized
+positions and required extensions wrongly without a message.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,13 +21,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
+from scan3d.choices import EXPORTS, one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.files.reading import check_file
+from scan3d.files.text import check_readable, rows_as_text
+from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
+from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.shown import Exported, Rows
-from scan3d.units import UNITS_M, check_unit, lengths
+from scan3d.units import UNITS_M, check_unit, length, lengths
 
 # Types of PLY by the codes of numpy; only those that the tables of scan3d need.
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
@@ -48,7 +63,7 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
     """
     path = Path(path)
     try:
-        check_file(path)
+        check_readable(path)
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"can't read {path}: {error.strerror or error}; give a PLY written by scan3d") from None
@@ -250,3 +265,472 @@ def in_unit(shape: Shape, unit: str | None) -> Shape:
         if name in (rows.dtype.names or ()):
             rows[name] = rows[name] * (UNITS_M[shape.unit] / UNITS_M[unit])
     return replace(shape, rows=rows, unit=unit)
+
+
+# The formats of clouds and of surfaces, in the order in which messages list them.
+CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv", ".glb")
+SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
+# The formats of each of `EXPORTS`, the default first.
+_ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
+# Formats whose coordinates are in float32.
+_SINGLE = (".stl", ".glb", ".pcd")
+# That in metres by its specification.
+_METRES = ".glb"
+
+# Formats in which each point has a normal, of .glb those of surfaces, and what to do otherwise.
+_WITH_NORMALS = {
+    ".xyzn": "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals",
+    **dict.fromkeys((".obj", ".glb"), "choose .stl or .ply"),
+}
+
+
+def export(
+    source: str | Path,
+    to: str | Path,
+    what: str | None = None,
+    *,
+    unit: str | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
+
+    what
+        'cloud' or 'surface' where the ending of `to`, which determines the format, allows either (.ply, .vtp, .glb); the
+        default is the surface, unless `source` is a cloud.
+    unit
+        of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB is in metres.
+
+    Returns what was written, as plain values.  Raises InputError for unknown endings and sources, for sources that cannot be
+    written in the format, for units that it does not have, for missing normals that it needs, and if `to` is part of a scan's
+    folder, the source itself, or, unless `overwrite` is true, a file that can't be recognised as an earlier export.
+    """
+    source, to = Path(source), Path(to)
+    ending = to.suffix.lower()
+    contents = _contents(ending, what)
+    if ending == _METRES and unit not in (None, "m"):
+        raise InputError(f"{ending} is in metres by its specification, and can't be in {unit}; leave the unit out")
+    shape = _read(source, contents[0])
+    if shape.what not in contents:
+        raise InputError(
+            f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
+            f"{one_of(_ENDINGS[shape.what])}, and the folder of a scan has both"
+        )
+    return write_shape(in_unit(shape, unit), to, {"source": source}, contents, overwrite=overwrite)
+
+
+def write_shape(
+    shape: Shape,
+    to: str | Path,
+    inputs: Inputs | None = None,
+    contents: Sequence[str] | None = None,
+    *,
+    overwrite: bool = False,
+    option: str = "--to",
+) -> dict[str, Any]:
+    """Write a cloud or a surface to a file, whose ending determines the format.
+
+    inputs, option
+        as in `files.whole.check_file`.
+    contents
+        what may be written, of `EXPORTS`; by default what a file with this ending can contain.
+
+    Returns and raises as `export`.  Of a cloud in GLB points without a normal are left out and counted, unless none has one.
+    """
+    to = Path(to)
+    ending = to.suffix.lower()
+    contents = _contents(ending, None) if contents is None else contents
+    if shape.what not in contents:
+        raise InputError(
+            f"a {shape.what} can't be written as {ending}, which holds a {contents[0]}; a {shape.what} can be written as "
+            f"{one_of(_ENDINGS[shape.what])}"
+        )
+    before = len(shape.rows)
+    if shape.faces is not None:
+        shape = _readable(shape, ending)
+    if ending in _SINGLE:
+        _check_digits(shape, ending)
+    known = np.linalg.norm(shape.normals, axis=1) > 0
+    if ending in _WITH_NORMALS and not known.all() and not (ending == ".glb" and shape.faces is None):
+        raise InputError(
+            f"{(~known).sum()} of {len(known)} points have no normal, which {ending} requires; {_WITH_NORMALS[ending]}"
+        )
+    if ending == ".glb" and known.any():
+        shape = replace(shape, rows=shape.rows[known])
+    left_out = 0 if shape.faces is not None else before - len(shape.rows)
+    data = None if ending == ".vtp" else _WRITERS[ending](shape)
+    check_file(to, inputs or {}, overwrite, option, data)
+    with folder(to.parent, option=option), atomic(to, option=option) as file:
+        if data is None:
+            to_polydata(shape).save(file)
+        else:
+            file.write_bytes(data)
+    faces = 0 if shape.faces is None else len(shape.faces)
+    unit = "m" if ending == _METRES else shape.unit
+    written = {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
+    return written | {"left_out": left_out}
+
+
+def _check_digits(shape: Shape, ending: str) -> None:
+    """Raises InputError if float32 rounds the points by more than the bound to which they are known."""
+    points = shape.points[np.isfinite(shape.points).all(axis=1)]
+    if len(points) < 2:
+        return
+    bound = shape.columns.get("bound", np.zeros(0))
+    bound = bound[np.isfinite(bound)]
+    allowed = max(1e-4 * np.linalg.norm(np.ptp(points, axis=0)), np.median(bound) if len(bound) else 0.0)
+    largest = np.abs(points).max()
+    with np.errstate(all="ignore"):  # beyond the range of float32
+        step = np.spacing(np.float32(largest))
+    if step > allowed > 0:
+        double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
+        raise InputError(
+            f"{ending} is in float32, whose numbers are {length(step, shape.unit, digits=2)} apart at coordinates of "
+            f"{largest:.6g} "
+            f"{shape.unit}, so that the shape of this {shape.what} would be lost; choose {one_of(double)}, which keep all "
+            "digits, or scan the body nearer to the origin"
+        )
+
+
+def _readable(shape: Shape, ending: str) -> Shape:
+    """The surface with the vertices merged that readers of the format would merge, and without triangles between these."""
+    assert shape.faces is not None
+    points = shape.points * (UNITS_M[shape.unit] if ending == ".glb" else 1.0)
+    if ending in _SINGLE:
+        points = points.astype(np.float32).astype(np.float64)
+    if not np.isfinite(points).all() or len(points) == 0:
+        return shape
+    chosen = representatives(points, distance_of_readers(points))
+    if (chosen == np.arange(len(points))).all():
+        return shape
+    used, faces = without_unused(collapsed(shape.faces, chosen))
+    return replace(shape, rows=shape.rows[used], faces=faces.astype(np.int32))
+
+
+def _contents(ending: str, what: str | None) -> list[str]:
+    """What a file with this ending can contain, the default first; only `what` if it is given."""
+    if what not in (None, *EXPORTS):
+        raise InputError(f"what to export must be one of {', '.join(EXPORTS)}, got {what!r}")
+    contents = [kind for kind, endings in _ENDINGS.items() if ending in endings]
+    if not contents:
+        raise InputError(
+            f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
+            f"{one_of(CLOUD_ENDINGS)}, a surface as {one_of(SURFACE_ENDINGS)}"
+        )
+    if what is None:
+        return contents
+    if what not in contents:
+        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {one_of(_ENDINGS[what])}")
+    return [what]
+
+
+def _read(source: Path, what: str) -> Shape:
+    if not source.exists():
+        raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
+    if source.is_dir():
+        name = f"{what}.ply"
+        if not locate(source / name).is_file():
+            raise InputError(
+                f"there is no {name} in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
+            )
+        check_belongs(source, read_report(source), [name])
+        return read_shape(locate(source / name))
+    return read_shape(locate(source))
+
+
+def _pcd(shape: Shape) -> bytes:
+    """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
+    points = packed_points(shape)
+    fields = list(points.dtype.names or ())
+    count = len(fields)
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *(f"# {line}" for line in shape.remarks),
+        "VERSION 0.7",
+        f"FIELDS {' '.join(fields)}",
+        f"SIZE {' '.join(['4'] * count)}",
+        f"TYPE {' '.join(['F'] * count)}",
+        f"COUNT {' '.join(['1'] * count)}",
+        f"WIDTH {len(shape.rows)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(shape.rows)}",
+        "DATA binary",
+        "",
+    ]
+    body = np.stack([points[name].astype("<f4") for name in fields], axis=1)
+    return "\n".join(header).encode() + body.tobytes()
+
+
+def _csv(shape: Shape) -> bytes:
+    names = shape.rows.dtype.names or ()
+    units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | {"force": "_N"}
+    header = ",".join(name + units.get(name, "") for name in names)
+    return f"{header}\n".encode() + rows_as_text(_columns(shape, names), ",")
+
+
+def _stl(shape: Shape) -> bytes:
+    """Binary STL, float32; the unit and the frame are in its header of 80 bytes."""
+    assert shape.faces is not None
+    corners = shape.points[shape.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    # a triangle without area has no normal; STL then has zeros
+    rows["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+    rows["corners"] = corners
+    header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(80)
+    return header + struct.pack("<I", len(rows)) + rows.tobytes()
+
+
+def _obj(shape: Shape) -> bytes:
+    assert shape.faces is not None
+    remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
+    corners = (map(str, column) for column in (shape.faces + 1).T)
+    faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
+    return b"".join(
+        [
+            remarks,
+            rows_as_text(_columns(shape, POINT), " ", "v "),
+            rows_as_text(_columns(shape, NORMAL), " ", "vn "),
+            "".join(faces).encode(),
+        ]
+    )
+
+
+def to_polydata(shape: Shape) -> Any:
+    """A `pyvista.PolyData` with every column in its own precision, unit and frame as field data."""
+    import pyvista
+
+    if shape.faces is None:
+        data = pyvista.PolyData(shape.points)
+    else:
+        data = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
+    data.point_data["Normals"] = shape.normals
+    data.point_data.active_normals_name = "Normals"
+    for name, column in shape.columns.items():
+        data.point_data[name] = column
+    data.set_active_scalars(None)
+    data.field_data["scan3d"] = [shape.what]  # by which the file is recognised
+    data.field_data["unit"] = [shape.unit]
+    data.field_data["frame"] = [FRAME]
+    return data
+
+
+_WRITERS: dict[str, Callable[[Shape], bytes]] = {
+    ".ply": lambda shape: ply(shape.rows, shape.faces, shape.remarks),
+    ".pcd": _pcd,
+    ".xyz": lambda shape: rows_as_text(_columns(shape, POINT), " "),
+    ".xyzn": lambda shape: rows_as_text(_columns(shape, POINT + NORMAL), " "),
+    ".csv": _csv,
+    ".stl": _stl,
+    ".obj": _obj,
+    ".glb": lambda shape: glb(shape),
+}
+
+
+def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
+    return [shape.rows[name] for name in names]
+
+
+def packed_points(shape: Shape) -> NDArray[np.void]:
+    """The points (n,) as the Point Cloud Library packs them: float32, normals as normal_x …."""
+    columns: dict[str, NDArray[Any]] = {name: shape.rows[name].astype("<f4") for name in POINT}
+    columns |= {f"normal_{name[1:]}": shape.rows[name].astype("<f4") for name in NORMAL}
+    columns |= shape.columns
+    rows = np.empty(len(shape.rows), dtype=[(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+# The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.
+_COMPONENTS = {"|i1": 5120, "|u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+_VECTORS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_TYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
+_WIDTHS = {name: width for width, name in _VECTORS.items()}
+_MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
+_TRIANGLES = 4
+# Beginnings of the names of extensions that a file may require: those that concern its looks only, and one that is read.
+_READ = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
+_AXES = "x, z and -y of the world"
+
+
+def glb(shape: Shape) -> bytes:
+    """The file of a surface, or of a cloud as points, with those normals and scalars that are known at all vertices."""
+    scale = UNITS_M[shape.unit]
+    buffers = _Buffers()
+    position = y_up(shape.points * scale).astype("<f4")
+    attributes = {"POSITION": buffers.add(position, bounds=True)}
+    if (np.linalg.norm(shape.normals, axis=1) > 0).all():
+        normals = y_up(shape.normals).astype(np.float64)
+        attributes["NORMAL"] = buffers.add((normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype("<f4"))
+    for name, values in shape.columns.items():
+        column = values.astype("<f4")  # glTF has neither NaN nor infinity
+        if np.isfinite(column).all():
+            attributes[f"_{name.upper()}"] = buffers.add(column * np.float32(scale if name in LENGTHS else 1.0))
+    primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": 0}  # points
+    if shape.faces is not None:
+        primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": _TRIANGLES}
+    pale_and_matt = {"baseColorFactor": [0.76, 0.80, 0.84, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    extras = {
+        "unit": "m",
+        "unit_of_recording": shape.unit,
+        "metres_per_unit_of_recording": scale,
+        "axes": _AXES,
+        "frame": FRAME,
+    }
+    tree = {
+        "asset": {"version": "2.0", "generator": "scan3d", "extras": extras},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": shape.what, "mesh": 0}],
+        "meshes": [{"name": shape.what, "primitives": [primitive]}],
+        "materials": [{"name": f"scan3d {shape.what}", "pbrMetallicRoughness": pale_and_matt, "doubleSided": True}],
+        "buffers": [{"byteLength": len(buffers.data)}],
+        "bufferViews": buffers.views,
+        "accessors": buffers.accessors,
+    }
+    text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I", len(text)) + _JSON + text + struct.pack("<I", len(buffers.data)) + _BINARY
+    return _MAGIC + struct.pack("<II", 2, 12 + len(chunks) + len(buffers.data)) + chunks + bytes(buffers.data)
+
+
+def y_up(vectors: NDArray[Any]) -> NDArray[Any]:
+    """Vectors (n, 3) of the world in the axes of glTF."""
+    return np.column_stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]])
+
+
+class _Buffers:
+    """The binary part of the file, and what describes it."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: NDArray[Any], *, indices: bool = False, bounds: bool = False) -> int:
+        """The number of the accessor of values (n,) or (n, k), which are appended."""
+        block = np.ascontiguousarray(values).tobytes()
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(block)}
+        self.views.append(view | {"target": 34963 if indices else 34962})
+        accessor: dict[str, Any] = {
+            "bufferView": len(self.views) - 1,
+            "componentType": _COMPONENTS[values.dtype.str],
+            "count": len(values),
+            "type": _VECTORS[values[0].size],
+        }
+        if bounds:
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        self.accessors.append(accessor)
+        self.data += block + b"\0" * (-len(block) % 4)
+        return len(self.accessors) - 1
+
+
+# --- reading ---
+
+
+def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
+    """Vertices (v, 3) and triangles (f, 3) of each part of the scene in a GLB, where its nodes put them.
+
+    The vertices are in metres, multiplied by a scale.  A file of `glb` is turned back to the axes of the world; those of other
+    programs are read with the axes they have.  Raises InputError for what is not read, such as compressed data, and errors of
+    various types for damaged files.
+    """
+    tree, binary = _chunks(data)
+    required = [name for name in tree.get("extensionsRequired", ()) if not name.startswith(_READ)]
+    if required:
+        raise InputError(f"its triangles need the extension {', '.join(required)}; export it without compression")
+    content = _Content(tree, binary)
+    nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
+    below = {child for node in nodes for child in node.get("children", ())}
+    roots = scenes[tree.get("scene", 0)].get("nodes", []) if scenes else sorted({*range(len(nodes))} - below)
+    parts = []
+    waiting, seen = [(root, np.diag([scale, scale, scale, 1.0])) for root in roots], set()
+    while waiting:
+        number, outer = waiting.pop()
+        if number in seen:
+            raise ValueError("a node has two parents")
+        seen.add(number)
+        node = nodes[number]
+        matrix = outer @ _matrix(node)
+        waiting += [(child, matrix) for child in node.get("children", ())]
+        if "mesh" not in node:
+            continue
+        mesh = tree["meshes"][node["mesh"]]
+        if "skin" in node or any(node.get("weights", mesh.get("weights", ()))):
+            raise InputError("its shape is bent by a skeleton or by morph targets; export the body as a plain mesh")
+        for primitive in mesh["primitives"]:
+            if (mode := primitive.get("mode", _TRIANGLES)) > _TRIANGLES:
+                raise InputError("its triangles are stored as strips or fans; export it as plain triangles")
+            if mode == _TRIANGLES:
+                points, faces = content.triangles(primitive)
+                faces = faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]  # a mirror image
+                parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
+    extras = tree["asset"].get("extras")
+    is_turned = isinstance(extras, Mapping) and extras.get("axes") == _AXES
+    return [(points[:, [0, 2, 1]] * [1, -1, 1], faces) for points, faces in parts] if is_turned else parts
+
+
+def _chunks(data: bytes) -> tuple[Any, bytes]:
+    """The description in a GLB, and its binary part.  Raises ValueError and struct.error for other files."""
+    magic, version, length, size, kind = struct.unpack("<4sII I4s", data[:20])
+    if (magic, version, kind) != (_MAGIC, 2, _JSON) or len(data) < length:
+        raise ValueError("no GLB of version 2, or cut off")
+    rest = data[20 + size : length]
+    if len(rest) < 8 or rest[4:8] != _BINARY:
+        return json.loads(data[20 : 20 + size]), b""
+    return json.loads(data[20 : 20 + size]), rest[8 : 8 + int.from_bytes(rest[:4], "little")]
+
+
+def _matrix(node: Mapping[str, Any]) -> Array:
+    """The matrix (4, 4) of a node in its parent: given, or of translation, rotation (x, y, z, w) and scale."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T
+    matrix = np.eye(4)
+    turn = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
+    matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=float)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+class _Content:
+    """What the accessors of a file describe."""
+
+    def __init__(self, tree: Mapping[str, Any], binary: bytes) -> None:
+        self._tree = tree
+        self._binary = binary
+        if uri := next((buffer["uri"] for buffer in tree["buffers"] if "uri" in buffer), ""):
+            raise InputError(f"its data lie in another place, {uri[:80]}; export it as one GLB")
+
+    def triangles(self, primitive: Mapping[str, Any]) -> tuple[Array, Index]:
+        """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles."""
+        position = self._tree["accessors"][primitive["attributes"]["POSITION"]]
+        stored = self._values(position)
+        if "min" in position and "max" in position and len(stored):
+            low, high = np.array(position["min"], dtype=float), np.array(position["max"], dtype=float)
+            off = np.abs([stored.min(axis=0) - low, stored.max(axis=0) - high]).max()
+            # some programs round the size
+            if off > 0.01 * np.linalg.norm(high - low):
+                raise InputError(
+                    f"its positions leave the box that it states for them by {off:.3g}: it is damaged, or its byteStride is "
+                    "wrong; export it again"
+                )
+        points = stored.astype(float)
+        if position.get("normalized"):
+            points = np.maximum(points / np.iinfo(stored.dtype).max, -1.0)
+        corners = np.arange(len(points))
+        if "indices" in primitive:
+            corners = self._values(self._tree["accessors"][primitive["indices"]]).ravel().astype(np.int64)
+        return points, corners.reshape(-1, 3)
+
+    def _values(self, accessor: Mapping[str, Any]) -> NDArray[Any]:
+        """The values (n, k) of an accessor, as they are stored.  Raises ValueError if they leave its view of the buffer."""
+        if "sparse" in accessor:
+            raise InputError("its coordinates are stored as changes of others; export it without sparse accessors")
+        kind, width = _TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]]
+        size, view = width * kind.itemsize, self._tree["bufferViews"][accessor["bufferView"]]
+        stride, start = view.get("byteStride", size), view.get("byteOffset", 0)
+        part = self._binary[start : start + view["byteLength"]]
+        place = accessor.get("byteOffset", 0)
+        return np.ndarray((accessor["count"], width), kind, part, place, (stride, kind.itemsize))

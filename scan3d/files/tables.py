@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.files.reading import check_file
+from scan3d.files.text import check_readable
 from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
 
@@ -204,7 +204,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     path = Path(path)
     name = name or path.name
     try:
-        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
+        check_readable(path, memory_per_byte=_MEMORY_PER_BYTE)
         if path.suffix.lower() in ENDINGS:
             by_name = read_columns(path)
             return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=sha256(path))
@@ -231,7 +231,7 @@ def guessed_layout(path: Path) -> Layout:
     if path.suffix.lower() in ENDINGS:
         return Layout()
     try:
-        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
+        check_readable(path, memory_per_byte=_MEMORY_PER_BYTE)
         stated = Layout("\t") if path.suffix.lower() in SHEETS else Layout()
         return guessed_head(_first_lines(path.name, _text(path)), stated).layout
     except OSError as error:

@@ -1,16 +1,262 @@
-"""JSON and TOML of plain values, and tables as text."""
+"""Files of text: TOML that is read entry by entry, and TOML, JSON and tables that are written from plain values.
+
+What is no regular file, or does not fit into memory, is refused before it is read.  In tables of TOML files types, ranges and
+words are checked, and names that nothing reads are refused.  Each message names the file, the table and the entry, and says
+what was expected and what came.  Settings are read here, and help must not wait for numpy.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import re
-from collections.abc import Iterable, Mapping
+import stat
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from scan3d.errors import InputError
+from scan3d.processes import check_memory
+from scan3d.rods import Rod
+from scan3d.units import is_finite
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def check_readable(path: Path, *, memory_per_byte: float = 2.0) -> None:
+    """Raises OSError for a file that does not exist, InputError for what is no regular file or does not fit into memory.
+
+    A device or a pipe could be read without end; `memory_per_byte` is the memory that is needed per byte of the file.
+    """
+    try:
+        state = path.stat()
+    except ValueError as error:  # a name with a null character
+        raise OSError(str(error)) from None
+    if stat.S_ISDIR(state.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(state.st_mode):
+        raise InputError(f"{path} is a device or a pipe, where a file is expected; copy its contents into a file")
+    check_memory(memory_per_byte * state.st_size, f"reading {path.name}", "take a smaller file")
+
+
+def read_small(path: Path) -> str:
+    """The text of a file of settings or results.  Raises OSError and ValueError, InputError as `check_readable`."""
+    check_readable(path)
+    if path.stat().st_size > 50 << 20:  # those of a scan have a few thousand bytes
+        raise ValueError(f"it has {path.stat().st_size >> 20} MB, and such files are small")
+    return path.read_text(encoding="utf-8-sig")
+
+
+def to_float(value: float) -> float:
+    """A number as a float; a whole number too large for one is infinite, as a decimal number is."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """The last clause of a message on unknown names: the known ones that they resemble, or an empty string."""
+    near = [match for name in unknown for match in get_close_matches(name, list(known), n=1)]
+    return f"; did you mean {' and '.join(near)}?" if near else ""
+
+
+T = TypeVar("T")
+REQUIRED: Any = object()
+"""The default of an entry that must be there."""
+
+
+class Section:
+    """A table of a TOML file whose entries are taken by name; those without a default must be there."""
+
+    def __init__(self, file: str, data: Mapping[str, Any], name: str = "") -> None:
+        self.file, self.data, self.name = file, data, name
+        self._asked: dict[str, None] = {}
+        self._inner: list[Section] = []
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.data
+
+    def __bool__(self) -> bool:
+        return bool(self.data)
+
+    def error(self, key: str, sentence: str) -> InputError:
+        """The error of an entry, or of the whole table if `key` is empty."""
+        return InputError(" ".join(filter(None, (f"{self.file}:", self.name and f"[{self.name}]", key, sentence))))
+
+    @contextmanager
+    def errors_named(self) -> Iterator[None]:
+        """Let errors of values that are made of the table name the file and the table."""
+        try:
+            yield
+        except InputError as error:
+            raise self.error("", str(error)) from None
+
+    def finish(self, advice: str = "") -> None:
+        """Raise InputError for names, here and in the tables within, that nobody asked for."""
+        known = list(self._asked)
+        unknown = sorted(set(self.data) - set(known))
+        if unknown:
+            what = f"unknown names: {', '.join(unknown)}; known are {', '.join(known)}{advice}"
+            raise self.error("", f"{'has ' if self.name else ''}{what}{did_you_mean(unknown, known)}")
+        for section in self._inner:
+            section.finish(advice)
+
+    def any(self, key: str, default: Any = None) -> Any:
+        """The value of an entry, whatever its type."""
+        self._asked[key] = None
+        return self.data.get(key, default)
+
+    def _value(self, key: str, default: Any, what: str, is_right: Callable[[Any], bool]) -> Any:
+        """The value of an entry, or its default.  Raises InputError if it has neither, and for one that is not right."""
+        value = self.any(key, default)
+        if value is REQUIRED:
+            others = [name for name in self.data if name not in self._asked]
+            raise self.error(key, f"is missing{did_you_mean([key], others)}")
+        if key in self.data and not is_right(value):
+            raise self.error(key, f"must be {what}, got {value!r}")
+        return value
+
+    def notes(self, key: str) -> Mapping[str, Any]:
+        """A table within this one that may hold anything; an empty one if it is not there."""
+        value = self.any(key, {})
+        if not isinstance(value, Mapping):
+            raise self.error(key, f"must be a section [{self._path(key)}] or a table in braces, got {value!r}")
+        return value
+
+    def section(self, key: str) -> Section:
+        """A table within this one, with entries of its own; an empty one if it is not there."""
+        self._inner.append(Section(self.file, self.notes(key), self._path(key)))
+        return self._inner[-1]
+
+    def _path(self, key: str) -> str:
+        return f"{self.name}.{key}" if self.name else key
+
+    def text(self, key: str, default: str = REQUIRED) -> str:
+        """A text."""
+        return str(self._value(key, default, "text", lambda value: isinstance(value, str)))
+
+    def word(self, key: str, words: Sequence[str], default: str | None = None) -> str:
+        """One of some words; by default the first of them."""
+        value = self.any(key, words[0] if default is None else default)
+        if value not in words:
+            near = did_you_mean([value], words) if isinstance(value, str) else ""
+            raise self.error(key, f"must be one of {', '.join(words)}; got {value!r}{near}")
+        return str(value)
+
+    def boolean(self, key: str, default: bool = REQUIRED) -> bool:
+        """True or false."""
+        return bool(self._value(key, default, "true or false", lambda value: isinstance(value, bool)))
+
+    def number(
+        self,
+        key: str,
+        default: float | T = REQUIRED,
+        *,
+        above: float = -math.inf,
+        at_least: float = -math.inf,
+        below: float = math.inf,
+    ) -> float | T:
+        """A finite number in a range; a default may lie outside."""
+        limits = (("above", above), ("of at least", at_least), ("below", below))
+        bounds = " and ".join(f"{word} {bound:g}" for word, bound in limits if math.isfinite(bound))
+
+        def is_right(given: Any) -> bool:
+            return is_finite(given) and above < given < below and given >= at_least
+
+        value = self._value(key, default, f"a finite number {bounds}".rstrip(), is_right)
+        return to_float(value) if key in self.data else value
+
+    def table(self, key: str, default: T) -> float | tuple[tuple[float, ...], ...] | T:
+        """A number, or a table of rows of numbers, which who takes it checks."""
+        value = self.any(key)
+        if not isinstance(value, list):
+            return self.number(key, default)
+        if not all(isinstance(row, list) for row in value):
+            raise self.error(key, f"must be a number or a list of rows, got {value!r}")
+        return tuple(map(tuple, value))
+
+    def integer(self, key: str, default: int | T = REQUIRED, *, at_least: int) -> int | T:
+        """A whole number."""
+        what = f"a whole number of at least {at_least}"
+        return self._value(key, default, what, lambda value: type(value) is int and value >= at_least)
+
+    def numbers(self, key: str, count: int, default: T = REQUIRED) -> tuple[float, ...] | T:
+        """A list of so many finite numbers."""
+
+        def is_right(given: Any) -> bool:
+            return isinstance(given, (list, tuple)) and len(given) == count and all(map(is_finite, given))
+
+        value = self._value(key, default, f"a list of {count} finite numbers", is_right)
+        return tuple(map(to_float, value)) if key in self.data else value
+
+    def texts(self, key: str, count: int | None = None) -> tuple[str, ...]:
+        """A list of texts; empty if there is no such entry."""
+        what = f"a list of {'' if count is None else f'{count} '}names"
+
+        def is_right(given: Any) -> bool:
+            right = isinstance(given, (list, tuple)) and count in (None, len(given))
+            return right and all(isinstance(one, str) for one in given)
+
+        return tuple(self._value(key, (), what, is_right))
+
+
+def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name: str = "") -> Section:
+    """The whole of a TOML file; messages name the file as it is, or by `name`.
+
+    Raises InputError with `what` the file is if it can't be read, and with the clause `advice` if it is not there.
+    """
+    path = Path(path)
+    try:
+        return Section(name or path.name, tomllib.loads(read_small(path)))
+    except OSError as error:
+        raise InputError(f"can't read the {what} {path}: {error.strerror or error}{advice}") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name or path.name} is not a TOML file: {error}") from None
+
+
+def read_rod(section: Section) -> Rod:
+    """The rod of a table [rod]: its length, its stiffness or a wire's diameter and modulus, and in what it is not simple."""
+    length, modulus = section.number("length_m", None), section.number("modulus_Pa", None)
+    stiffness: Any
+    diameter: Any
+    stiffness, diameter = (section.table(name, None) for name in ("bending_stiffness_Nm2", "diameter_m"))
+    curvature: Any = section.any("curvature_per_m", 0.0)
+    further: dict[str, Any] = {
+        "tip_diameter_m": section.number("tip_diameter_m", None),
+        "curvature_per_m": tuple(curvature) if isinstance(curvature, list) else curvature,
+        "weight_N": section.number("weight_N", 0.0),
+        "clamp_compliance_rad_per_Nm": section.number("clamp_compliance_rad_per_Nm", 0.0),
+    }
+    with section.errors_named():
+        if length is not None and stiffness is not None:
+            return Rod(length, stiffness, 0.0 if diameter is None else diameter, **further)
+        if length is not None and diameter is not None and modulus is not None:
+            at_clamp = diameter if isinstance(diameter, float) else diameter[0][1]
+            wire = Rod.wire(length, at_clamp, modulus)
+            return Rod(length, wire.bending_stiffness_Nm2, diameter, **further)
+    section.finish()  # a name that is nearly right is the likelier reason
+    raise section.error("", "needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+
+
+def rod_section(rod: Rod) -> dict[str, Any]:
+    """The table [rod] of a rod, without what is as for a straight, uniform, weightless rod."""
+    table: dict[str, Any] = {
+        "length_m": rod.length_m,
+        "bending_stiffness_Nm2": rod.stiffness_table or rod.bending_stiffness_Nm2,
+        "diameter_m": rod.diameter_table or rod.diameter_m,
+    }
+    further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm")
+    return table | {name: value for name in further if (value := getattr(rod, name))}
 
 
 def to_json(data: Mapping[str, Any]) -> bytes:
@@ -21,10 +267,10 @@ def to_json(data: Mapping[str, Any]) -> bytes:
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if hasattr(value, "tolist"):  # a number or an array of numpy
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, (str, int, float, NoneType)) else str(value)
@@ -33,7 +279,7 @@ def _plain(value: Any) -> Any:
 def rows_as_text(columns: Iterable[NDArray[Any]], separator: str = ",", start: str = "") -> bytes:
     """Lines of columns (n,), with as few digits as are needed to read the same bits back."""
     # numpy writes float32 with fewer digits, Python the others faster
-    cells = (map(str, column if column.dtype == np.float32 else column.tolist()) for column in columns)
+    cells = (map(str, column if column.dtype == "float32" else column.tolist()) for column in columns)
     return "".join(f"{start}{separator.join(row)}\n" for row in zip(*cells, strict=True)).encode()
 
 
@@ -54,7 +300,7 @@ def _toml_key(key: str) -> str:
 
 
 def _toml_value(value: Any) -> str:
-    if isinstance(value, np.generic):
+    if hasattr(value, "item"):  # a number of numpy
         value = value.item()
     if isinstance(value, bool):
         return "true" if value else "false"

@@ -26,8 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.errors import InputError
-from scan3d.files.reading import read_small
-from scan3d.files.text import to_json
+from scan3d.files.text import read_small, to_json
 from scan3d.processes import undone_if_ended
 
 REPORT = "report.json"
@@ -46,8 +45,6 @@ Inputs = Mapping[str, str | os.PathLike[str] | None]
 
 # The folder whose files are complete and to be moved, and the beginning of the names of what is being written.
 _COMPLETE, _WORK = ".scan3d-complete", ".scan3d-work"
-# Bytes at the beginning and at the end of a file in which the name of the program is looked for: headers are shorter.
-_LOOKED_AT = 1 << 12
 _ASK = "give --overwrite (overwrite=True) to replace it, or choose another place with"
 
 
@@ -436,12 +433,13 @@ def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, c
 
 def _is_ours(path: Path, contents: bytes) -> bool:
     """Whether a file bears the name of the program at its beginning or its end; CSV, which has no place for it, its columns."""
+    looked_at = 4096  # bytes at each end, which are more than headers have
     with open(path, "rb") as file:
-        begin = file.read(_LOOKED_AT)
+        begin = file.read(looked_at)
         if path.suffix.lower() == ".csv":
             return begin.split(b",")[:4] == contents.split(b",", 4)[:4]
-        file.seek(max(len(begin), os.path.getsize(path) - _LOOKED_AT))
-        return b"scan3d" in begin + file.read(_LOOKED_AT)
+        file.seek(max(len(begin), os.path.getsize(path) - looked_at))
+        return b"scan3d" in begin + file.read(looked_at)
 
 
 def check_pair(

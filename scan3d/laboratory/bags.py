@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.reading import check_file, did_you_mean
 from scan3d.files.tables import Table
-from scan3d.laboratory.maps import Topics
+from scan3d.files.text import check_readable, did_you_mean
+
+if TYPE_CHECKING:
+    from scan3d.laboratory.maps import Topics
 
 _WRENCH, _POSE, _TF = "WrenchStamped", "PoseStamped", "TFMessage"
 NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -46,7 +48,7 @@ def bag_files(path: Path) -> Path:
     try:
         for file in folder.iterdir() if folder.is_dir() else [folder]:
             if not file.is_dir():
-                check_file(file, memory_per_byte=0)  # bags are read message by message
+                check_readable(file, memory_per_byte=0)  # bags are read message by message
     except OSError as error:
         raise InputError(f"can't read the bag {path}: {error.strerror or error}") from None
     return folder

@@ -19,9 +19,8 @@ from scan3d import units
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
-from scan3d.files.reading import Section
 from scan3d.files.tables import Table, read_table
-from scan3d.frames import Frame, euler_of, wrench_matrix
+from scan3d.files.text import Section
 from scan3d.laboratory import signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
@@ -36,19 +35,14 @@ from scan3d.laboratory.logs import (
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.signals import find_air, given_air, robust_sd, tare
 from scan3d.recording import CHANNELS, FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
+from scan3d.rigs import Frame, euler_of, wrench_matrix
 from scan3d.spatial import inverse
 from scan3d.units import share
 
 KIND = "import"
 """What the source of an imported recording is."""
-# Half a turn about the rod, in which a stroke along +x is one along -x.
-_HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
 # Part of the rows that another frame of the wrench must make those of a bent rod to be named.
 _NEARLY_ALL = 0.9
-# Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Median travel of the sweeps in rod lengths;
-# largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred; clamping moment
-# over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
-_TRAVELS, _FORCES, _MOMENTS = (5e-3, 50.0), (1e-4, 2e3), (0.01, 2.0)
 
 
 @dataclass(frozen=True)
@@ -161,7 +155,8 @@ def not_rigged(source: Mapping[str, Any]) -> None:
     """Raise InputError for the source of a recording that a rig has corrected: frames would be applied twice."""
     if source.get("calibrated"):
         raise InputError(
-            "the recording was corrected by a calibrated rig already; leave --rig out, or import the table again without it"
+            "the recording was corrected by a calibrated rig already; leave --rig out, or import the table again "
+            "without it"
         )
 
 
@@ -193,8 +188,8 @@ def _converted(table: Table, map: Map) -> Imported:
     reach = float(np.ptp(position, axis=0).max()) / map.rod.length_m
     if reach < 0.02:
         raise InputError(
-            f"{table.name}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and "
-            f"[rod] length_m of {map.name}"
+            f"{table.name}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] "
+            f"position and [rod] length_m of {map.name}"
         )
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise)
@@ -202,9 +197,11 @@ def _converted(table: Table, map: Map) -> Imported:
     check_directions(map, table.name, sweep, position, quaternion, touched)
     notes = [*sensed.notes, *notes]
     if backwards.any():
-        quaternion, wrench = quaternion.copy(), wrench.copy()
-        quaternion[backwards] = _HALF_TURN.carried(position[backwards], quaternion[backwards])[1]
-        wrench[backwards] *= np.tile(np.diag(_HALF_TURN.turn), 2)
+        # after half a turn about the rod a stroke along +x is one along -x
+        quaternion, wrench, signs = quaternion.copy(), wrench.copy(), np.array([-1.0, 1.0, -1.0])
+        half_turn = Frame(np.zeros(3), np.diag(signs))
+        quaternion[backwards] = half_turn.carried(position[backwards], quaternion[backwards])[1]
+        wrench[backwards] *= np.tile(signs, 2)
     within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[signals.thinned(sweep[within], every)]
@@ -350,15 +347,16 @@ def _clamp_wrench(wrench: Array, present: Mask, map: Map, where: str) -> tuple[A
     missing = [channel for channel in IN_PLANE if not known[channel]]
     if map.known is not None and len(missing) != 1 and missing != [0, 1]:
         raise InputError(
-            f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, or for fx and fy, and of these "
+            f"{where}: [known] of {map.name} stands for one of fx, fy and mz of the clamp, or for fx and fy, and of "
+            "these "
             f'{len(missing)} are missing; leave its column empty (""), or leave out [known]'
         )
     for channel in missing:
         if map.known is None:
             absent = ", ".join(CHANNELS[k] for k in np.flatnonzero(needed[channel] & ~present))
             raise InputError(
-                f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or "
-                "moves it; add the column, or give the wrench in the clamp's frame"
+                f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] "
+                "turns or moves it; add the column, or give the wrench in the clamp's frame"
                 if not sensor.trivial
                 else f"{where}: {absent} was not measured; [known] of {map.name} may state friction, or contact = 'tip'"
             )
@@ -391,8 +389,8 @@ def _sweeps(
     backwards = (sweep >= 0) & np.append(back, False)[stroke]
     sweep, left = without_transfers(sweep, _touching(wrench, noise), position, quaternion, map.rod.length_m)
     note = (
-        f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
-        "sweeps, number them in a column and name it as sweep under [columns]"
+        f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they "
+        "are sweeps, number them in a column and name it as sweep under [columns]"
     )
     return sweep, backwards & (sweep >= 0), [note] if left else []
 
@@ -438,35 +436,40 @@ def _speed(recording: Recording, clock: Array) -> float:
 
 
 def _check_sizes(recording: Recording, map: Map, table: str) -> None:
-    """Raise InputError if travel, force or moment can't be those of the rod, with the entry of the map to check."""
+    """Raise InputError if travel, force or moment can't be those of the rod, with the entry of the map to check.
+
+    A wrong unit makes them wrong by a factor of a thousand.
+    """
     rod = recording.rod
     _, first, last = ends(recording.sweep)
     travel = np.linalg.norm(recording.position_m[last] - recording.position_m[first], axis=1) / rod.length_m
     median = float(np.median(travel))
-    if not _TRAVELS[0] <= median <= _TRAVELS[1]:
+    if not 0.005 <= median <= 50:
         raise InputError(
-            f"{table}: the sweeps are {median:.3g} rod lengths long, where {_TRAVELS[0]:g} to {_TRAVELS[1]:g} are expected; "
-            f"check [units] length, [columns] position and [rod] length_m of {map.name}"
+            f"{table}: the sweeps are {median:.3g} rod lengths long, where 0.005 to 50 are expected; check [units] "
+            f"length, [columns] position and [rod] length_m of {map.name}"
         )
     touching = felt(recording.force_N, recording.noise_force_N)
     if not touching.any():
         return
     force = np.linalg.norm(recording.force_N[touching], axis=1)
     largest = float(force.max()) / rod.force_unit_N
-    if not _FORCES[0] < largest < _FORCES[1]:
+    # a rod whose contact has slid to a tenth of its length has a few hundred
+    if not 1e-4 < largest < 2000:
         raise InputError(
             f"{table}: the largest force, {units.force(force.max())}, is {largest:.3g} times EI/L² of the rod, where "
-            f"{_FORCES[0]:g} to {_FORCES[1]:g} are expected; check [units] force, the columns of the force, [tare] and [rod] "
-            f"of {map.name}"
+            "0.0001 to 2000 are expected; check [units] force, the columns of the force, [tare] and [rod] of "
+            f"{map.name}"
         )
     strong = force >= np.median(force)
     moment = np.abs(recording.moment_Nm[touching][strong])
+    # over the largest possible value, which follows from the energy of the bent rod with a free end
     ratio = float(np.median(moment / (2 * np.sqrt(force[strong] * rod.bending_stiffness_Nm2))))
-    if not _MOMENTS[0] < ratio < _MOMENTS[1]:
+    if not 0.01 < ratio < 2:
         raise InputError(
-            f"{table}: the moments in contact are {ratio:.3g} times the largest that the rod can have under such forces, where "
-            f"{_MOMENTS[0]:g} to 1 are expected; check [units] force and moment, the columns of mz, [tare], [sensor] and "
-            f"[rod] of {map.name}"
+            f"{table}: the moments in contact are {ratio:.3g} times the largest that the rod can have under such "
+            "forces, where 0.01 to 1 are expected; check [units] force and moment, the columns of mz, [tare], "
+            f"[sensor] and [rod] of {map.name}"
         )
 
 
@@ -496,7 +499,8 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
     if not other.six_axis or together > _NEARLY_ALL or (part := _bent(other)) < _NEARLY_ALL:
         return ()
     return (
-        f"force and moment have their components in the frame of the {frame}, in which {share(part)} of the rows with a "
+        f"force and moment have their components in the frame of the {frame}, in which {share(part)} of the rows with "
+        "a "
         f'force are those of a bent rod: check wrench_in = "{frame}" under [columns] or [ros] of {map.name}',
     )
 
@@ -548,8 +552,8 @@ def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[
     further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
     if not known.all() and further:
         text = (
-            f"{', '.join(further)} are left out, because a planar recording has fx, fy and mz, and all six are needed for the "
-            "model in space"
+            f"{', '.join(further)} are left out, because a planar recording has fx, fy and mz, and all six are needed "
+            "for the model in space"
         )
         if known[2] and touched.any():
             part = float(np.median(np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)))
@@ -558,6 +562,7 @@ def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[
         notes.append(text)
     if map.air == "none" and map.noise_force_N is None:
         notes.append(
-            "nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]"
+            "nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under "
+            "[tare]"
         )
     return notes

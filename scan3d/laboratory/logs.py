@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import LARGEST, MEDIAN_OF_NORMAL, NEGLIGIBLE, Array, Mask, ratio
 from scan3d.errors import InputError
-from scan3d.files.reading import did_you_mean
 from scan3d.files.tables import Table
-from scan3d.laboratory.maps import Map, Orientation, Reference
+from scan3d.files.text import did_you_mean
 from scan3d.poses import MOVES, Move
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
+
+if TYPE_CHECKING:
+    from scan3d.laboratory.maps import Map, Orientation, Reference
 
 
 @dataclass(frozen=True)
@@ -81,14 +84,15 @@ def read_log(table: Table, map: Map) -> Log:
         _check_order(log.time_s, log.row, table)
         if not np.diff(log.time_s).any():
             raise InputError(
-                f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
+                f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of "
+                "the map"
             )
     for name, channels in (("force", slice(0, 3)), ("moment", slice(3, 6))):
         if present[channels].any() and not log.wrench[:, channels].any():
             entry = "signals" if columns.signals else name
             raise InputError(
-                f"{table.name}: the {name} is zero in all {len(log)} rows: nothing was measured; check [columns] {entry} of "
-                f"{map.name}, and the sensor"
+                f"{table.name}: the {name} is zero in all {len(log)} rows: nothing was measured; check [columns] "
+                f"{entry} of {map.name}, and the sensor"
             )
     return log
 
@@ -113,7 +117,8 @@ def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table) -> Arr
     """The wrenches (n, 6) of the times (n,) of the poses; NaN where the log ends before."""
     if time is None:
         raise InputError(
-            f"{table.name}: wrench_delay_s of {map.name} needs the time of the rows; name its column as time under [columns]"
+            f"{table.name}: wrench_delay_s of {map.name} needs the time of the rows; name its column as time under "
+            "[columns]"
         )
     _check_order(time, np.arange(len(time)), table)
     columns = [np.interp(time + map.wrench_delay_s, time, one, left=np.nan, right=np.nan) for one in wrench.T]
@@ -146,8 +151,8 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
         return reference - 1, 1.0
     if not names:
         raise InputError(
-            f"{table.name} has no line with names, and {where} names {reference!r}; give the number of the column, from 1, or "
-            "the line of the names as header under [table]"
+            f"{table.name} has no line with names, and {where} names {reference!r}; give the number of the column, "
+            "from 1, or the line of the names as header under [table]"
         )
     bare, sign = (reference[1:], -1.0) if reference.startswith("-") and reference not in names else (reference, 1.0)
     found = [k for k, name in enumerate(names) if name == bare]
@@ -157,7 +162,8 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
     if found:
         numbers = ", ".join(str(k + 1) for k in found)
         raise InputError(
-            f"{line} has {len(found)} columns {reference!r} (numbers {numbers}), where {where} means one; give its number"
+            f"{line} has {len(found)} columns {reference!r} (numbers {numbers}), where {where} means one; give its "
+            "number"
         )
     listed = ", ".join([*names[:30], *["..."] * (len(names) > 30)])
     inside = [name for name in names if reference and reference.lower() in name.lower()]
@@ -206,16 +212,16 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
         off = np.maximum(off, np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)))
         if off.max() > 1e-3:
             raise InputError(
-                f"{table.place(int(row[np.argmax(off)]))} has an orientation that is no rotation matrix, by {off.max():.3g}; "
-                f"check the nine columns of {_entry(map, 'orientation.matrix')}, row by row"
+                f"{table.place(int(row[np.argmax(off)]))} has an orientation that is no rotation matrix, by "
+                f"{off.max():.3g}; check the nine columns of {_entry(map, 'orientation.matrix')}, row by row"
             )
         return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
     length = np.linalg.norm(values, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
     if abs(length[worst] - 1) > 1e-3:  # as in a recording
         raise InputError(
-            f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, where 1 is expected; check the "
-            f"four columns of {_entry(map, 'orientation')}"
+            f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, where 1 is expected; "
+            f"check the four columns of {_entry(map, 'orientation')}"
         )
     return np.roll(values, 1, axis=1) if orientation.order == "xyzw" else values
 
@@ -274,8 +280,8 @@ def _check_unit(table: Table, map: Map, column: int, quantity: str) -> None:
         unit = next(unit for unit, value in FACTORS[quantity].items() if value == factor)
         where = f": line {line}" if line else ""
         raise InputError(
-            f"{table.name}{where} says that {table.title(column)} is in {stated}, and [units] {quantity} of {map.name} says "
-            f"{unit}; correct the one that is wrong"
+            f"{table.name}{where} says that {table.title(column)} is in {stated}, and [units] {quantity} of "
+            f"{map.name} says {unit}; correct the one that is wrong"
         )
 
 
@@ -284,8 +290,9 @@ def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
     if len(back):
         k = int(back[0])
         raise InputError(
-            f"{table.place(int(row[k + 1]))} has a time {time[k] - time[k + 1]:.6g} s before that of the row above, and time "
-            f"runs backwards in {len(back)} of {len(time)} rows; check the column of the time, and sort or separate the rows"
+            f"{table.place(int(row[k + 1]))} has a time {time[k] - time[k + 1]:.6g} s before that of the row above, "
+            f"and time runs backwards in {len(back)} of {len(time)} rows; check the column of the time, and sort or "
+            "separate the rows"
         )
 
 
@@ -464,8 +471,8 @@ def check_directions(
     known = angle[np.isfinite(angle)]
     if len(angle) and not len(known):
         raise InputError(
-            f"{where}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
-            f"{map.name}"
+            f"{where}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep "
+            f"of {map.name}"
         )
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
@@ -475,8 +482,8 @@ def check_directions(
         return
     axis = _usual_axis(np.where(touched, 0, -1) if held < 0.2 else sweep, position, quaternion)
     advice = (
-        "check orientation (its order of columns or its convention) and position under [columns], [units] angle, and the "
-        "clamp's frame under [clamp], with y along the rod and x against the sweep"
+        "check orientation (its order of columns or its convention) and position under [columns], [units] angle, and "
+        "the clamp's frame under [clamp], with y along the rod and x against the sweep"
     )
     if axis == "+x":
         advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
-from scan3d.files.reading import read_rod, read_section
 from scan3d.files.recordings import read_known, sidecar
 from scan3d.files.tables import Table, check_single, read_table
-from scan3d.files.text import rows_as_text
+from scan3d.files.text import read_rod, read_section, rows_as_text
 from scan3d.reconstruction.errors import contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
 from scan3d.rods import Rod
@@ -59,8 +58,8 @@ class OneSweep:
             raise InputError("the table has no row with a base position")
         if x0[0] == x0[-1] and np.ptp(x0):
             raise InputError(
-                "the base position of a sweep must decrease or increase from the first row to the last one, or stay; cut a "
-                "motion back and forth into two tables"
+                "the base position of a sweep must decrease or increase from the first row to the last one, or stay; "
+                "cut a motion back and forth into two tables"
             )
         for noise in (self.noise_force, self.noise_moment):
             if not (np.isfinite(noise) and noise >= 0):
@@ -176,8 +175,8 @@ def read_sweep(
     rod = rod or stated_rod
     if si and rod is None:
         raise InputError(
-            f"{path.name}: its columns are in SI units and need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a section "
-            f"[rod] in {sidecar(path).name}"
+            f"{path.name}: its columns are in SI units and need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a "
+            f"section [rod] in {sidecar(path).name}"
         )
     try:
         assert x0 is not None

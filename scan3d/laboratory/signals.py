@@ -117,8 +117,8 @@ def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: s
         first, last = int(np.searchsorted(clock, start)), int(np.searchsorted(clock, end, side="right"))
         if last <= first:
             raise InputError(
-                f"{where} has no row from {start:g} s to {end:g} s, which [tare] air of the map names; the table covers "
-                f"{clock[0]:g} s to {clock[-1]:g} s"
+                f"{where} has no row from {start:g} s to {end:g} s, which [tare] air of the map names; the table "
+                f"covers {clock[0]:g} s to {clock[-1]:g} s"
             )
         if found and first < found[-1][1]:
             raise InputError(
@@ -143,7 +143,8 @@ def find_air(wrench: Array, clock: Array, calm: Mask, where: str) -> Stretches:
         stretches = again
     if not stretches:
         raise InputError(
-            f"{where}: no stretch is found in which the rod is in the air, so that force and moment can't be tared; state such "
+            f"{where}: no stretch is found in which the rod is in the air, so that force and moment can't be tared; "
+            "state such "
             'stretches as [tare] air = [[from_s, to_s]] in the map, or air = "none" if they are tared already'
         )
     return stretches
@@ -292,16 +293,8 @@ def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
     return [stretches[k] for k in kept]
 
 
-# Rows of a window, in steps s between the rows that the equation connects, and the least angle ω s of a step: together more
-# than a period, so that the sign has changed more often than that of any sweep past a convex body.
-_WINDOW, _ANGLE = 8, 1.0
-# Least part of its square that a swing keeps over two steps.
-_DAMPED = 0.25
-# Part of the mean square of a swing that its equation may leave: other modes, and a frequency that changes with the bend.
-_LEFT = 0.02
-# Mean square over the variance of the noise from which a swing stands out, in which part of the rows it does, and what noise
-# leaves over its expectation.
-_FELT, _NEARLY_ALL, _CHANCE = 4.0, 0.6, 1.5
+# Rows of a window, in steps s between the rows that the equation connects.
+_WINDOW = 8
 
 
 def sampling_rate(clock: Array | None, where: str) -> float:
@@ -314,8 +307,8 @@ def sampling_rate(clock: Array | None, where: str) -> float:
         return len(steps) / float(clock[-1] - clock[0])
     if np.percentile(np.abs(steps - median), 95) > median / 2:
         raise InputError(
-            f"{where}: [filter] needs even time steps, and those of the table differ by more than half of their median of "
-            f"{median:.3g} s in 5 % of the rows or more; leave [filter] out"
+            f"{where}: [filter] needs even time steps, and those of the table differ by more than half of their "
+            f"median of {median:.3g} s in 5 % of the rows or more; leave [filter] out"
         )
     return 1 / median
 
@@ -324,8 +317,8 @@ def low_pass(values: Array, clock: Array, limit_hz: float, rate: float, where: s
     """The values (n, c) without what is faster than `limit_hz`; parts that long pauses separate are filtered separately."""
     if limit_hz >= rate / 2:
         raise InputError(
-            f"{where}: [filter] lowpass_hz = {limit_hz:g} must be below half of the table's rate of {rate:.6g} Hz; lower it, "
-            "or leave it out"
+            f"{where}: [filter] lowpass_hz = {limit_hz:g} must be below half of the table's rate of {rate:.6g} Hz; "
+            "lower it, or leave it out"
         )
     filter_ = _filter(limit_hz, rate)
     filtered = values.copy()
@@ -417,20 +410,23 @@ def _mark(found: Mask, wrench: Array, step: int, variance: float) -> None:
         weight * (one * other).sum(axis=1)
         for one, other in ((now, now), (before, before), (before, now), (now, after), (before, after), (after, after))
     ]
-    total = np.cumsum(
-        np.pad(np.stack([*products, variance * weight, size > 3 * _FELT * variance], axis=1), ((1, 0), (0, 0))), axis=0
-    )
+    stands_out = size > 3 * 4 * variance  # with four times the mean square of the noise
+    sums = np.stack([*products, variance * weight, stands_out], axis=1)
+    total = np.cumsum(np.pad(sums, ((1, 0), (0, 0))), axis=0)
     count = (_WINDOW - 2) * step
     xx, yy, xy, xz, yz, zz, share, felt = ((total[count:] - total[:-count]) / count).T
     with np.errstate(divide="ignore", invalid="ignore"):
         determinant = xx * yy - xy**2
         a, b = (xz * yy - xy * yz) / determinant, (xy * xz - xx * yz) / determinant
         left = zz - a * xz + b * yz
-        swings = (b > _DAMPED) & (b < 1 + _LEFT) & (a < 2 * np.cos(_ANGLE) * np.sqrt(b)) & (felt > _NEARLY_ALL)
-        swings &= left < _LEFT * xx + _CHANCE * share * (1 + a**2 + b**2)
+        # over two steps a swing keeps a quarter of its square, and each turns it by a radian at least: a window is more than a
+        # period, so that the sign has changed more often than that of any sweep past a convex body
+        swings = (b > 0.25) & (b < 1.02) & (a < 2 * np.cos(1.0) * np.sqrt(b)) & (felt > 0.6)
+        # the equation leaves other modes, a frequency that changes with the bend, and noise
+        swings &= left < 0.02 * xx + 1.5 * share * (1 + a**2 + b**2)
     known = np.cumsum(np.pad(found, (1, 0)))
     start = np.flatnonzero(swings & (known[_WINDOW * step :] == known[: -_WINDOW * step]))
-    inside = (
-        np.bincount(start, minlength=len(wrench)) - np.bincount(start + _WINDOW * step, minlength=len(wrench) + 1)[:-1]
+    inside = np.bincount(start, minlength=len(wrench) + 1) - np.bincount(
+        start + _WINDOW * step, minlength=len(wrench) + 1
     )
-    found |= np.cumsum(inside) > 0
+    found |= np.cumsum(inside[:-1]) > 0

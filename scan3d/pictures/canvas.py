@@ -29,8 +29,6 @@ CONTACT_SIZE = 7
 # Edges are moved toward the camera by this fraction of the size, lines by twice as much, and the body behind contacts away from
 # it by three times, so that the faces they lie in do not hide them.
 _LAYER = 1e-3
-# Radius of rods as a fraction of the size; clamps and contacts are measured by it.
-_ROD_RADIUS = 0.003
 
 
 class Canvas:
@@ -144,10 +142,10 @@ class Canvas:
         """
         import pyvista
 
-        actors, rods = [], sweep.rods
-        mark = 2 * _ROD_RADIUS * self.size
+        actors, rods, radius = [], sweep.rods, 0.003
+        mark = 2 * radius * self.size  # by which clamps and contacts are measured
         for k in states:
-            actors.append(self.add_tube(rods[k], parts.ROD, _ROD_RADIUS))
+            actors.append(self.add_tube(rods[k], parts.ROD, radius))
             clamp = pyvista.Cube(x_length=3 * mark, y_length=3 * mark, z_length=3 * mark)
             center = sweep.base[k] - 1.5 * mark * sweep.turns[k, 1]  # the rod begins at the clamp's face
             clamp.points = center + clamp.points @ sweep.turns[k]
@@ -201,14 +199,13 @@ class Canvas:
         return np.asarray(large.reduce(self.sampling)), across
 
 
+# Points of letters, by which buttons are measured in pixels.
+_FONT = 11
+
+
 NO_DISPLAY = (
     "there is no display to open a window on; write a picture with --screenshot FILE, or a page with --html FILE"
 )
-# Pixels of a window, which fits on the screens of laptops.
-_SIZE = (1200, 900)
-# Points of letters, by which buttons are measured in pixels: their size, and from button to button.
-_FONT = 11
-_BUTTON, _LINE = 2 * _FONT, 3 * _FONT
 
 
 @functools.cache
@@ -234,8 +231,8 @@ class Window:
         import pyvista
 
         scene = scene.in_shown_unit()
-        canvas = Canvas(scene.corners, off_screen=off_screen)
-        canvas.plotter.window_size = [*_SIZE]
+        canvas, size = Canvas(scene.corners, off_screen=off_screen), (1200, 900)  # fits on the screens of laptops
+        canvas.plotter.window_size = [*size]
         self.plotter, self.scene, self.on_pick = canvas.plotter, scene, on_pick
         self.layers: dict[str, list[Any]] = {}
         if scene.surface is not None:
@@ -260,7 +257,7 @@ class Window:
             sweep = parts.shown_sweep(scene)
             self.layers["rods"] = canvas.add_rods(sweep, evenly(np.arange(len(sweep.base)), 9))
         self._add_buttons(color)
-        canvas.aim(*_SIZE, 0.8)  # between the buttons and the bar
+        canvas.aim(*size, 0.8)  # between the buttons and the bar
         canvas.plotter.enable_point_picking(self.pick, show_message=False, left_clicking=True, show_point=False)
 
     def _add_buttons(self, color: str) -> None:
@@ -270,21 +267,21 @@ class Window:
         for name in reversed(known):
             paint = functools.partial(self.paint, name)
             place = (_FONT, bottom)
-            plotter.add_radio_button_widget(paint, "colour", value=name == color, position=place, size=_BUTTON)
+            plotter.add_radio_button_widget(paint, "colour", value=name == color, position=place, size=2 * _FONT)
             bottom = self._add_label(f"colour: {name}", bottom)
         for name in reversed(self.layers):
             on, switch = name in ("surface", "contacts"), functools.partial(self.switch, name)
             self.switch(name, on)
             place = (_FONT, bottom)
-            plotter.add_checkbox_button_widget(switch, value=on, position=place, size=_BUTTON, color_on=parts.ROD)
+            plotter.add_checkbox_button_widget(switch, value=on, position=place, size=2 * _FONT, color_on=parts.ROD)
             bottom = self._add_label(name, bottom)
         if color in known:
             self.paint(color)
 
     def _add_label(self, text: str, bottom: int) -> int:
         """Write the label of a button; the place of the next one."""
-        self.plotter.add_text(text, position=(_FONT + _LINE, bottom), font_size=_FONT, color=parts.INK)
-        return bottom + _LINE
+        self.plotter.add_text(text, position=(4 * _FONT, bottom), font_size=_FONT, color=parts.INK)
+        return bottom + 3 * _FONT
 
     def switch(self, name: str, on: bool) -> None:
         """Show or hide a layer."""
@@ -318,10 +315,8 @@ def _color_bar(plotter: Any, shaded: parts.Shade) -> None:
     mapper, kinds = pyvista.DataSetMapper(), shaded.kinds
     # a legend of VTK would write the words in their colours, and pale ones cannot be read
     names = {number + 0.5: name for number, (name, _) in enumerate(reversed(kinds))}
-    colors, ends = (
-        [color for _, color in reversed(kinds)],
-        (0, len(kinds)) if kinds else (shaded.norm.vmin, shaded.norm.vmax),
-    )
+    colors = [color for _, color in reversed(kinds)]
+    ends = (0, len(kinds)) if kinds else (shaded.norm.vmin, shaded.norm.vmax)
     mapper.lookup_table = pyvista.LookupTable(
         colors or shaded.map, len(kinds) or 256, scalar_range=ends, annotations=names
     )

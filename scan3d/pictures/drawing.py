@@ -15,10 +15,11 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from scan3d.choices import CHARTS
 from scan3d.errors import InputError
 from scan3d.pictures import rendering
+from scan3d.pictures.figures import Sheet
 from scan3d.pictures.parts import Scene
-from scan3d.pictures.sheet import CHARTS, Sheet
 from scan3d.processes import python
 
 Job = tuple[str, dict[str, Any]]

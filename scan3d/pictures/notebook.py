@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan3d.choices import Color, View, one_of
+from scan3d.choices import WITH_OTHER, Color, View, one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.whole import atomic, check_file
 from scan3d.pictures import rendering, views
-from scan3d.pictures.figures import own_style, save
+from scan3d.pictures.figures import Sheet, own_style, save, sheet
 from scan3d.pictures.parts import Scene, of_cloud
-from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
 from scan3d.recording import Recording
 from scan3d.shown import Rows
 from scan3d.units import Unit, check_unit, unit_of

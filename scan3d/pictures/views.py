@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 import planar
 from scan3d.arrays import Array, evenly, weighted_quantiles
-from scan3d.choices import VIEWS
+from scan3d.choices import CHARTS, VIEWS
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
 from scan3d.pictures.canvas import DIRECTION, Canvas
-from scan3d.pictures.figures import blank_figure, own_style
+from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
 from scan3d.pictures.parts import (
     BODY,
     TANGENTIAL,
@@ -33,7 +33,6 @@ from scan3d.pictures.parts import (
     shown_sweep,
 )
 from scan3d.pictures.rendering import need_renderer
-from scan3d.pictures.sheet import CHARTS, FONT, Sheet
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
 
 if TYPE_CHECKING:
@@ -421,16 +420,11 @@ def import_figure(imported: Imported) -> Any:
 
 
 MOVIES = (".gif", ".mp4")
-NO_FFMPEG = (
-    "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
-)
 _PER_SECOND = 12
 # The last frame is shown for so many frames, so that the result can be looked at before the movie starts again.
 _HELD = 3 * _PER_SECOND // 2
 # Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
 _SIZE, _DPI = (7.0, 4.0), 140
-# Height of the rendered body as a fraction of the frame; the caption is below.
-_BODY_HEIGHT = 0.92
 
 MARK = b"scan3d"
 """The comment in a movie, by which it is recognised as written by this program."""
@@ -497,7 +491,9 @@ def _ffmpeg() -> Any:
     try:
         return import_module("imageio_ffmpeg")
     except ImportError:
-        raise InputError(NO_FFMPEG) from None
+        raise InputError(
+            "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
+        ) from None
 
 
 def _frames_of_movie(scene: Scene, frames: int) -> Iterator[Image]:
@@ -519,8 +515,9 @@ def _frames_of_movie(scene: Scene, frames: int) -> Iterator[Image]:
     figure = blank_figure(_SIZE[1], _DPI, _SIZE[0])
     canvas = Canvas(np.concatenate([points, *(sweep.rods.reshape(-1, 3) for sweep in sweeps)]))
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
-    axes = figure.add_axes((0, 1 - _BODY_HEIGHT, 1, _BODY_HEIGHT))
-    width, height = round(_SIZE[0] * _DPI), round(_BODY_HEIGHT * _SIZE[1] * _DPI)
+    part = 0.92  # of the height, above the caption
+    axes = figure.add_axes((0, 1 - part, 1, part))
+    width, height = round(_SIZE[0] * _DPI), round(part * _SIZE[1] * _DPI)
     for done in np.linspace(0, len(numbers), frames + 1)[1:]:
         k = int(np.ceil(done)) - 1
         rows = np.flatnonzero(place == k)

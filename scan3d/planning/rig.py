@@ -22,7 +22,7 @@ from scan3d import units
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
-from scan3d.files.reading import to_float
+from scan3d.files.text import to_float
 from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame

@@ -26,7 +26,6 @@ from scipy.spatial.transform import Rotation
 import planar
 from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask, evenly
-from scan3d.frames import euler_of, wrench_matrix
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.errors import (
     DISTURBED,
@@ -42,6 +41,7 @@ from scan3d.reconstruction.errors import (
 )
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import CHANNELS, Recording
+from scan3d.rigs import euler_of, wrench_matrix
 from scan3d.rods import Gravity, Rod
 from scan3d.spatial import inverse
 from scan3d.spatial.march import free_reactions

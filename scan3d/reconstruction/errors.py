@@ -26,10 +26,9 @@ import planar
 from scan3d.arrays import AT_ONCE, MEDIAN_OF_NORMAL, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.frames import displaced
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
-from scan3d.rigs import RIG_QUANTITIES, RigErrors
+from scan3d.rigs import RIG_QUANTITIES, RigErrors, displaced
 from scan3d.spatial import inverse
 from scan3d.spatial.march import reshaped
 

@@ -36,11 +36,6 @@ from scan3d.units import UNITS_M
 if TYPE_CHECKING:
     import trimesh
 
-# Distance from a straight line in rod lengths, and from one direction, within which a path counts as that of a sweep.
-_STRAIGHT = 1e-6
-# Sweeps that are computed at once.
-_AT_ONCE_PLANAR, _AT_ONCE = 16, 128
-
 
 class Track(NamedTuple):
     """Places (n) of a clamp in one sweep, in the mesh's unit."""
@@ -88,8 +83,8 @@ def check_simple(rod: Rod) -> None:
     """Raise InputError for rods of which no scan in space is simulated."""
     if not rod.is_simple:
         raise InputError(
-            "scans in space are simulated with straight, uniform, weightless rods in rigid clamps; simulate this rod with "
-            "the planar model"
+            "scans in space are simulated with straight, uniform, weightless rods in rigid clamps; simulate this rod "
+            "with the planar model"
         )
 
 
@@ -163,8 +158,8 @@ def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, thick: Rod) -
     outlines = _outlines(mesh, tracks, length, length * thick.diameter_m / 2 / thick.length_m)
     rod = thick.in_plane()
     reactions = []
-    for first in range(0, len(tracks), _AT_ONCE_PLANAR):
-        part = range(first, min(first + _AT_ONCE_PLANAR, len(tracks)))
+    for first in range(0, len(tracks), 16):
+        part = range(first, min(first + 16, len(tracks)))
         within = [k for k in part if len(outlines[k]) and outlines[k][:, 1].min() <= 1]
         for k in within:
             if outlines[k][:, 1].min() <= 0:
@@ -195,18 +190,19 @@ def _in_plane(track: Track, result: planar.Sweep | None) -> Reactions:
 
 def _begins_in_body(number: int) -> str:
     return (
-        f"the rod touches the body before sweep {number} begins: the body is larger than what the poses were planned for, or "
-        "stands elsewhere; plan with a larger --around"
+        f"the rod touches the body before sweep {number} begins: the body is larger than what the poses were planned "
+        "for, or stands elsewhere; plan with a larger --around"
     )
 
 
 def _check_path(track: Track, length: float, model: str) -> None:
-    if np.abs(track.axes - track.axes[0]).max() > _STRAIGHT:
+    rounding = 1e-6  # of directions, and of places in rod lengths
+    if np.abs(track.axes - track.axes[0]).max() > rounding:
         raise InputError(f"in a sweep the clamp does not turn, unlike in sweep {track.number}; cut it into several")
     travel = (track.position - track.position[0]) / length
     aside = np.abs(travel @ track.axes[0, 1:].T).max()
     backwards = np.diff(travel @ track.axes[0, 0]).max(initial=0.0)
-    if model == "planar" and max(aside, backwards) > _STRAIGHT:
+    if model == "planar" and max(aside, backwards) > rounding:
         raise InputError(
             "in the planar model the clamp moves against the x axis of its frame, unlike in sweep "
             f"{track.number}; give --model spatial"
@@ -237,8 +233,8 @@ def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float)
     again = list(range(len(tracks)))
     for _ in range(2):  # the second time with the rows where the contact changes much
         order = sorted(again, key=lambda k: len(places[k]))
-        for first in range(0, len(order), _AT_ONCE):
-            rows = order[first : first + _AT_ONCE]
+        for first in range(0, len(order), 128):
+            rows = order[first : first + 128]
             parts = _swept(body, [tracks[k] for k in rows], [positions[k] for k in rows], [places[k] for k in rows])
             found |= dict(zip(rows, parts, strict=True))
         again = [k for k in order if len(found[k].turned)]
@@ -362,10 +358,6 @@ def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: 
     return np.asarray(np.bincount(step, touches, minlength=len(count)) > 0)
 
 
-# Distance of the polygons from the arcs, in rod lengths: an eighth of the error that exact contacts may have.
-_SAGITTA = 2.5e-10
-
-
 def grown_extent(mesh: trimesh.Trimesh, axis: Array, radius: float) -> tuple[float, float]:
     """Lowest and highest coordinate along an axis (3,) of a mesh fattened by a radius."""
     low, high = extent_along(mesh, axis)
@@ -378,7 +370,7 @@ def sections(
     """The contours of plane sections that can be reached from outside, as `slice_outlines`, for a rod of a radius and a length.
 
     A convex mesh may be fattened by the radius: then the contours' vertices are exact to rounding, and their sides within
-    `_SAGITTA` of the surface.
+    2.5e-10 rod lengths of the surface, an eighth of the error that exact contacts may have.
     """
     if not is_convex(mesh):
         return slice_outlines(mesh, frame, heights)
@@ -390,7 +382,7 @@ def _grown_polygons(mesh: trimesh.Trimesh, frame: Array, heights: Array, radius:
     center = mesh.bounds.mean(axis=0)
     origin = frame @ center
     body = RoundedPolyhedron((mesh.vertices.view(np.ndarray) - center) @ frame.T, mesh.faces)
-    step = float(np.sqrt(8 * _SAGITTA * length / radius))
+    step = float(np.sqrt(8 * 2.5e-10 * length / radius))  # by the sagitta of an arc
     rounding = ROUNDING * float(np.abs(body.vertices).max())
     return [convex_polygon(_outline(body, z, radius, step), rounding) + origin[:2] for z in heights - origin[2]]
 

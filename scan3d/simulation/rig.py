@@ -23,13 +23,13 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.errors import InputError
-from scan3d.files.reading import Section, read_section
-from scan3d.frames import check_positions, to_inner, turn_of
+from scan3d.files.text import Section, read_section
 from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import check_body, check_convex
 from scan3d.poses import TABLE, Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.recording import Recording, reaction_columns
+from scan3d.rigs import check_positions, to_inner, turn_of
 from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.units import UNITS_M
@@ -164,8 +164,8 @@ def simulate_rig(
     if touches.any():
         raise InputError(
             f"the rod lies in the body where {touches.sum()} of {len(tracks)} sweeps begin, first sweep "
-            f"{tracks[int(np.argmax(touches))].number}: the body is larger than what the poses were planned for, or stands "
-            "elsewhere; plan with a larger --around"
+            f"{tracks[int(np.argmax(touches))].number}: the body is larger than what the poses were planned for, or "
+            "stands elsewhere; plan with a larger --around"
         )
     reactions = felt(mesh, tracks, real, metres, model)
     wrench = np.zeros((len(rows.time), 6))
@@ -253,8 +253,8 @@ def _warnings(
     sentences = []
     if len(hit):
         sentences.append(
-            f"in {len(hit)} sweeps, first {hit[0]}, the straight rod would touch the body in approach or retract, where the "
-            "log has no reactions"
+            f"in {len(hit)} sweeps, first {hit[0]}, the straight rod would touch the body in approach or retract, "
+            "where the log has no reactions"
         )
     if bent:
         sentences.append(
@@ -271,7 +271,7 @@ SHOWS = ("clamp-on-rod", "rod-on-clamp")
 """Which wrench the sensor shows; the first is that of a recording."""
 DRIFTS = ("linear", "random-walk")
 # Streams of random numbers: each fault draws from a separate one, so that one fault does not change the others.
-_BIAS, _DRIFT, _WHITE, _PINK, _JITTER, _MISSING = range(6)
+_STREAMS = ("bias", "drift", "white", "pink", "jitter", "missing")
 
 
 @dataclass(frozen=True)
@@ -394,8 +394,8 @@ def _place(section: Section) -> Place:
     return Place(section.numbers("position_mm", 3, none), section.numbers("euler_deg", 3, none))
 
 
-def _generator(faults: Faults, stream: int) -> np.random.Generator:
-    return np.random.default_rng([faults.seed, 5, stream])
+def _generator(faults: Faults, stream: str) -> np.random.Generator:
+    return np.random.default_rng([faults.seed, 5, _STREAMS.index(stream)])
 
 
 def measured(force: Array, moment: Array, faults: Faults, untouched: tuple[float, float] = (0.0, 0.0)) -> Array:
@@ -412,12 +412,11 @@ def measured(force: Array, moment: Array, faults: Faults, untouched: tuple[float
     if faults.shows != SHOWS[0]:
         wrench = -wrench
     wrench = wrench + _bias(faults, largest) + _drift(len(wrench), faults, largest)
-    white = _generator(faults, _WHITE)
     if faults.noise:
-        wrench = wrench + white.standard_normal(wrench.shape) * _by_channel(faults.noise, largest)
+        white = _generator(faults, "white").standard_normal(wrench.shape)
+        wrench = wrench + white * _by_channel(faults.noise, largest)
     if faults.pink:
-        random = _generator(faults, _PINK)
-        sizes = _by_channel(faults.pink, largest)
+        random, sizes = _generator(faults, "pink"), _by_channel(faults.pink, largest)
         wrench = wrench + np.stack([size * pink_noise(len(wrench), random) for size in sizes], axis=1)
     return rounded(wrench, _by_channel(faults.quantum, largest))
 
@@ -444,7 +443,7 @@ def lagged(values: Array, faults: Faults) -> Array:
 def _bias(faults: Faults, largest: tuple[float, float]) -> Array:
     """(6,) the offsets of the channels; those given as a fraction point in a random direction."""
     relative = np.array(faults.bias.of(largest))
-    bias: Array = _directions(_generator(faults, _BIAS)) * np.repeat(relative, 3)
+    bias: Array = _directions(_generator(faults, "bias")) * np.repeat(relative, 3)
     for part, given in ((slice(0, 3), faults.bias_force_N), (slice(3, 6), faults.bias_moment_Nm)):
         if given is not None:
             bias[part] = given
@@ -465,7 +464,7 @@ def _drift(rows: int, faults: Faults, largest: tuple[float, float]) -> Array:
     """
     if not faults.drift:
         return np.zeros((rows, 6))
-    random, size = _generator(faults, _DRIFT), _by_channel(faults.drift, largest)
+    random, size = _generator(faults, "drift"), _by_channel(faults.drift, largest)
     if faults.drift_kind == "linear":
         return np.linspace(0, 1, rows)[:, None] * (_directions(random) * size)
     steps = random.standard_normal((rows, 6)) * (size / np.sqrt(3 * max(rows - 1, 1)))
@@ -495,7 +494,7 @@ def rounded(values: Array, step: Array) -> Array:
 def logged_positions(position_m: Array, faults: Faults) -> Array:
     """(n, 3) positions as they are logged: with jitter, and in steps."""
     if faults.jitter_um:
-        jitter = _generator(faults, _JITTER).standard_normal(position_m.shape)
+        jitter = _generator(faults, "jitter").standard_normal(position_m.shape)
         position_m = position_m + faults.jitter_um * 1e-6 * jitter
     return rounded(position_m, np.full(3, faults.quantum_um * 1e-6))
 
@@ -506,7 +505,7 @@ def kept(rows: int, faults: Faults) -> Mask:
     if not faults.missing:
         return keep
     gap = max(1, round(faults.gap_ms * faults.rate_hz / 1000))
-    random = _generator(faults, _MISSING)
+    random = _generator(faults, "missing")
     # where gaps may overlap, so many begin that the stated fraction is lost in the mean
     begins = random.random(rows) < 1 - (1 - faults.missing) ** (1 / gap)
     for row in np.flatnonzero(begins):

@@ -16,7 +16,7 @@ import numpy as np
 import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.reading import to_float
+from scan3d.files.text import to_float
 from scan3d.geometry.hulls import check_body, check_convex, is_convex
 from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.planning.heights import (
@@ -66,10 +66,6 @@ Progress = Callable[[int, int], None]
 
 # Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.
 _ROUNDS = 2
-# Sweeps of bodies that are not convex that are stepped together at least: fewer take longer for each.
-_TOGETHER = 192
-# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.
-_BEYOND = 0.2
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -106,8 +102,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     convex = is_convex(mesh)
     if not convex and not rod.without_thickness().is_simple:
         raise InputError(
-            "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose such a "
-            "rod, or scan the convex hull with --hull"
+            "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose "
+            "such a rod, or scan the convex hull with --hull"
         )
     if not convex and plan.tolerance:
         raise InputError(
@@ -152,7 +148,8 @@ def _check_size(mesh: Any, plan: Plan, slices: int, sweeps: float) -> None:
     check_memory(
         # as was measured: for each sample, slice and facet of the body, and those of the program itself
         samples * 1000 + to_float(slices) * 300_000 + len(mesh.faces) * 1000 + 400_000_000,
-        f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} samples",
+        f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} "
+        "samples",
         "choose fewer slices, sweeps or samples",
     )
 
@@ -252,14 +249,14 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
     plan, next_ones = scans[0].plan, next_slices
     count, most = plan.slices * len(scans), (plan.slices + BEYOND) * len(scans)
 
-    def report(_: int) -> None:
+    def report(*_: int) -> None:
         if progress is not None:
             progress(min(sum(len(scan.heights) for scan in scans), count), count)
 
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
         _check_sweeps(scan, plan.samples)
-        report(0)
+        report()
 
     if plan.is_free:
         next_ones = Aims().next_slices
@@ -297,8 +294,6 @@ def _along(scans: list[AxisScan], axis: Array) -> AxisScan:
 
 
 class _Swept(NamedTuple):
-    """One sweep and what it measured."""
-
     slice: int
     line: BaseLine
     result: planar.Sweep
@@ -405,17 +400,11 @@ class AxisScan:
         for angle in first_directions(self.plan):
             line = base_line(outline, angle, self.plan.clearance * self.length)
             across = (outline - line.origin) @ line.axes[0] / self.length
-            x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
+            x0 = np.linspace(across.max() + 0.2, across.min() - 0.2, n)  # rod lengths beyond them
             unknown, phase = np.full(n, np.nan), np.full(n, planar.Phase.NONE, dtype=np.int8)
-            swept.append(
-                _Swept(
-                    i,
-                    line,
-                    planar.Sweep(
-                        x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown
-                    ),
-                )
-            )
+            point = np.full((n, 2), np.nan)
+            empty = planar.Sweep(x0, unknown, unknown, unknown, unknown, point, unknown, phase, unknown)
+            swept.append(_Swept(i, line, empty))
         return swept
 
     def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
@@ -459,7 +448,8 @@ class AxisScan:
                 results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
             else:
                 sweeps = list(zip(contours, friction, strict=True))
-                results = shared(partial(_sweep_together, shares=shares), sweeps, _TOGETHER)
+                # fewer that are stepped together take longer for each
+                results = shared(partial(_sweep_together, shares=shares), sweeps, 192)
         except InputError:
             raise
         except ValueError as error:
@@ -516,11 +506,8 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
     of_sweep = np.repeat(np.arange(len(swept)), [len(result) for *_, result in swept])
     known = np.concatenate([result.status != planar.SweepStatus.UNRESOLVED for *_, result in swept])
     begins = known & ((np.diff(of_sweep, prepend=-1) != 0) | ~np.roll(known, 1))
-    number, place, wrench = (
-        (np.cumsum(begins) - 1)[known],
-        np.concatenate(places)[known],
-        np.concatenate(wrenches)[known],
-    )
+    number = (np.cumsum(begins) - 1)[known]
+    place, wrench = np.concatenate(places)[known], np.concatenate(wrenches)[known]
     down = plan.down(axes)
     if down is not None and plan.gravity is not None:
         force, moment = free_reactions(rod.in_space(), down.T)
@@ -531,10 +518,6 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
 
 
 # --- in space ---
-
-
-# Path before the touch-down, in rod lengths, at which a sweep begins.
-_BEFORE = 1e-6
 
 
 class _SpatialSweeps(NamedTuple):
@@ -591,7 +574,8 @@ def _sweep_in_space(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: i
     reach = 2 * np.abs(body.vertices).max() + 1
     start = lines.origin.T + reach * x
     passage = passages(body, start, y, -x)
-    rows = np.flatnonzero(passage.touches & (passage.end > passage.begin + _BEFORE))
+    before = 1e-6  # rod lengths before the touch-down a sweep begins
+    rows = np.flatnonzero(passage.touches & (passage.end > passage.begin + before))
     if not len(rows):
         return []
     begin, end = passage.begin[rows], passage.end[rows]
@@ -599,7 +583,7 @@ def _sweep_in_space(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: i
     samples = max(2, round(0.35 * plan.samples)) if number else plan.samples
     spacing = np.linspace(0, 1, samples) ** (2 if number else 1)
     # the bent rod may follow the body
-    distance = begin[:, None] - _BEFORE + (1.1 * (end - begin))[:, None] * spacing
+    distance = begin[:, None] - before + (1.1 * (end - begin))[:, None] * spacing
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
     # where rod and face are nearly parallel, the touch-down is found to some thousandths only, and may lie before the beginning
     again = passages(body, position[:, 0].T, y[:, rows], (position[:, -1] - position[:, 0]).T)

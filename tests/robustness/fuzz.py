@@ -205,7 +205,7 @@ def warm():
     import pyvista
 
     import scan3d.cli.commands
-    import scan3d.files.formats
+    import scan3d.files.shapes
     import scan3d.pictures.page
     import scan3d.simulation.scan
 
