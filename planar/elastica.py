@@ -36,9 +36,6 @@ from scipy.special import ellipe, ellipj, ellipk, elliprd, elliprf
 
 from planar.arrays import Array
 
-# Duplications, each of which brings the arguments of Carlson's integrals four times closer together.
-_DUPLICATIONS = 5
-
 
 class Shape(NamedTuple):
     """A bent rod in units of ``1/√f``: arrays of one shape, dimensionless."""
@@ -134,7 +131,9 @@ def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     x, y, z = x.copy(), y.copy(), z.copy()
     rd_sum = np.zeros_like(z)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for step in range(_DUPLICATIONS):  # in place, because moving memory takes most of the time
+        # five, each of which brings the arguments four times closer together; in place, because moving memory takes most of the
+        # time
+        for step in range(5):
             root_x, root_y, root_z = np.sqrt(x), np.sqrt(y), np.sqrt(z)
             shift = root_x * root_y
             root_x += root_y
@@ -145,7 +144,7 @@ def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
             z += shift
             root_z *= z
             rd_sum += np.divide(2.0**step, root_z, out=root_z)
-        scale = 2.0**_DUPLICATIONS
+        scale = 2.0**5
 
         mean = (x + y + z) / 3
         dx, dy, dz = 1 - x / mean, 1 - y / mean, 1 - z / mean

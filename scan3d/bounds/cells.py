@@ -58,8 +58,6 @@ MOST_CROSSINGS = 6_000
 """Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
 # Depth of a point inside a cell, in sizes of the cell, below which a better one is sought for Qhull.
 _INSIDE = 1e-6
-# Determinant of three axes that span space.
-_SPANNING = 0.02
 
 
 class Gap(IntEnum):
@@ -397,10 +395,11 @@ def _frame(by_axis: Sequence[SliceStack]) -> tuple[Array, list[int]]:
     axes = np.array([stack.frame[2] for stack in by_axis])
     triples = [list(triple) for triple in combinations(range(len(axes)), 3)]
     volumes = [abs(np.linalg.det(axes[triple])) for triple in triples]
-    if triples and max(volumes) > _SPANNING:
+    spanning = 0.02
+    if triples and max(volumes) > spanning:
         best = triples[int(np.argmax(volumes))]
         return axes[best], best
-    if len(axes) > 1 and np.linalg.norm(across := np.cross(axes[0], axes[1])) > _SPANNING:
+    if len(axes) > 1 and np.linalg.norm(across := np.cross(axes[0], axes[1])) > spanning:
         return np.array([axes[0], axes[1], across / np.linalg.norm(across)]), [0, 1]
     return by_axis[0].frame[[2, 0, 1]], [0]
 

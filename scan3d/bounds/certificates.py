@@ -252,10 +252,9 @@ def missing(cloud: Cloud) -> str:
         kappa * float(np.median(sd)) for sd in (cloud.place_sd, cloud.tangent_sd[np.isfinite(cloud.tangent_sd)])
     )
     return (
-        f"contacts face all sides, but noise may move half of them by more than {length(place, cloud.unit)}, and turn the rod "
-        f"there by more than {angle(float(np.degrees(turn)))}, so that the directions of the planes that touch the "
-        "body there are open: "
-        "less noise would bound it"
+        f"contacts face all sides, but noise may move half of them by more than {length(place, cloud.unit)}, and turn "
+        f"the rod there by more than {angle(float(np.degrees(turn)))}, so that the directions of the planes that touch "
+        "the body there are open: less noise would bound it"
     )
 
 

@@ -72,8 +72,6 @@ CONFIDENCE = 0.95
 """Probability with which the bounds hold under noise."""
 AVERAGED = (2, 4, 16, 64)
 """Successive rows of a sweep that are averaged: larger averages have smaller errors, smaller ones follow sharp curves."""
-# Part of the probability of failure that the calibration has where there is noise as well; its factor hardly depends on it.
-_SHARE = 0.2
 EXACT = 2e-9
 """Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave."""
 STRAIGHT = 0.03
@@ -127,8 +125,9 @@ def allowed(cloud: Cloud, confidence: float = CONFIDENCE) -> Allowed:
         kappa = sigmas(len(cloud), confidence) if noisy else None
         return Allowed(kappa, 0.0, confidence if noisy else 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     alpha = 1 - confidence
-    factor = rig.factor(_SHARE * alpha if noisy else alpha)
-    kappa = sigmas(len(cloud), 1 - (1 - _SHARE) * alpha) if noisy else None
+    # of the probability of failure noise has the larger part, because the calibration's factor hardly depends on its own
+    factor = rig.factor(0.2 * alpha if noisy else alpha)
+    kappa = sigmas(len(cloud), 1 - 0.8 * alpha) if noisy else None
     columns = rig.place_sd, rig.turn_sd, rig.across_sd, rig.tilt_sd
     place, turn, across, tilt = (factor * column for column in columns)
     height = factor * float(rig.height_sd.max(initial=0.0))

@@ -67,13 +67,9 @@ from scan3d.shown import Described, Rows
 if TYPE_CHECKING:
     import trimesh
 
-# The enclosure by cells is used if its bound is below this fraction of that by slabs, since it takes several times as long.
-_TIGHTER = 0.95
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
-# A hull of centre points that is thinner than the rod is made this much smaller.
-_LEAST = 1e-3
 
 
 class SlabCorners(NamedTuple):
@@ -243,15 +239,15 @@ def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     by_axis = stacks(cloud)
     if not applicable(cloud, by_axis):
         return bounds
-    worst = bounds.corners[bounds.gap.argmax()]
+    worst, part = bounds.corners[bounds.gap.argmax()], 0.95
     found = (
-        tighter_cells(cloud, by_axis, bounds.inner, worst, _TIGHTER * bounds.bound)
+        tighter_cells(cloud, by_axis, bounds.inner, worst, part * bounds.bound)
         if np.isfinite(worst).all()
         else cells_of_cloud(cloud, by_axis, bounds.inner)
     )
     if found is None:
         return bounds
-    return _tightened(bounds, found.corners, found.gap, exact_error(cloud), _TIGHTER)
+    return _tightened(bounds, found.corners, found.gap, exact_error(cloud), part)
 
 
 def _tightened(bounds: Enclosure, corners: Array, gap: Array, error: float, part: float = 1.0) -> Enclosure:
@@ -281,12 +277,10 @@ def shell(body: Any, distance: float) -> float:
 def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
     """The enclosure of a body by that of the body fattened by a ball of some radius."""
     inner, excess = offset_inwards(bounds.inner, radius), bounds.excess
-    bodies = (
-        (bounds.inner, bounds.excess + radius),
-    )  # which tells more than the inner body, smaller in all directions
+    # which tells more than the inner body, smaller in all directions
+    bodies = ((bounds.inner, bounds.excess + radius),)
     if inner is None:  # the body may be thinner than what the contacts leave open
-        centre, factor = shrunk_by(bounds.inner, radius)
-        inner = hull(centre + max(factor, _LEAST) * (bounds.inner.vertices.view(np.ndarray) - centre))
+        inner = _made_smaller(bounds.inner, radius)
         excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), excess)
     tighter = None if bounds.tighter is None else _thinner(bounds.tighter, radius)
     reach, gap = bounds.reach - radius, np.full(len(bounds.gap), np.inf)
@@ -616,10 +610,13 @@ def _error_of_hull(body: Any, places: Places) -> float:
 def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
     """The hull of the contacts on the surface; without normals, that of the centre points, made smaller by the radius."""
     known = np.isfinite(cloud.points).all(axis=1)
-    if known.any():
-        return hull(cloud.points[known])
-    centre, factor = shrunk_by(centre_hull, cloud.rod_radius)
-    return hull(centre + max(factor, _LEAST) * (centre_hull.vertices.view(np.ndarray) - centre))
+    return hull(cloud.points[known]) if known.any() else _made_smaller(centre_hull, cloud.rod_radius)
+
+
+def _made_smaller(body: Any, radius: float) -> Any:
+    """A convex body made smaller by a radius, or to a thousandth of its size where it is thinner."""
+    centre, factor = shrunk_by(body, radius)
+    return hull(centre + max(factor, 1e-3) * (body.vertices.view(np.ndarray) - centre))
 
 
 def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:

@@ -54,8 +54,6 @@ _DIRECTIONS = 90
 _SINGLE = 1000
 # Groups of contacts where rows have contradicted the rest.
 _GROUPS = 2
-# Runs of one other sweep that may lie nearest to a run, whatever the errors.
-_CANDIDATES = 3.0
 
 
 def confident(stack: SliceStack, cloud: Cloud, allow: Allowed) -> SliceStack:
@@ -325,10 +323,8 @@ class _Averaged:
         tangent = lines.tangents[row]
         arm = lines.normal_sd[row] * (tangent * (self.points[group] - lines.points[row])).sum(axis=1)
         turn = lines.normal_sd[row] * (tangent * self.normals[group]).sum(axis=1)
-        self.across, self.tilt = (
-            np.sqrt(averages.variance(lines.across**2)),
-            np.sqrt(averages.variance(lines.normal_sd**2)),
-        )
+        self.across = np.sqrt(averages.variance(lines.across**2))
+        self.tilt = np.sqrt(averages.variance(lines.normal_sd**2))
         self.arm, self.turn = (
             np.sqrt(np.bincount(group, (averages.weight * part) ** 2, len(self.kappa))) for part in (arm, turn)
         )
@@ -382,7 +378,7 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
     """Means over successive rows of each sweep, and over such runs of several sweeps that lie beside each other.
 
     Runs are fixed by the order of the rows, so that the errors do not choose what is averaged.  Which runs of other sweeps lie
-    beside one is judged by the noisy points; each has at most `_CANDIDATES` for that, which κ allows for.  The weights are
+    beside one is judged by the noisy points; each has at most three for that, which κ allows for.  The weights are
     inverse to the variances (n,).  There are no means where `sweep` is None, because the errors are not independent.
     """
     if sweep is None:
@@ -414,7 +410,7 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
             rows.append(row)
             groups.append(group + count)
             weights.append(weight / np.bincount(group, weight)[group])
-            choices = _CANDIDATES ** np.maximum((runs >= 0).sum(axis=1) - 1.0, 0)
+            choices = 3.0 ** np.maximum((runs >= 0).sum(axis=1) - 1.0, 0)
             kappas.append(np.sqrt(chdtri(3, chdtrc(3, kappa**2) / choices)))  # of an event among so many
             count += len(number)
     return Averages(np.concatenate(rows), np.concatenate(groups), np.concatenate(weights), np.concatenate(kappas))

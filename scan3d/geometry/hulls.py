@@ -496,12 +496,8 @@ def edges_of(hull: ConvexHull) -> tuple[Index, Index]:
     return vertices, np.stack([codes // len(vertices), codes % len(vertices)], axis=1)
 
 
-# Points that a plane face has at least.
-_FACE_POINTS = 6
-
-
 def plane_faces(points: Array, tolerance: float) -> Array:
-    """The planes (k, 4), n and c with <n, x> <= c, of the hull of points (n, 3) in which many of them lie, to a tolerance."""
+    """The planes (k, 4), n and c with <n, x> <= c, of the hull of points (n, 3) in which six or more of them lie."""
     qhull = ConvexHull(points)
     corners = points[qhull.simplices]
     area = areas(corners)
@@ -513,14 +509,14 @@ def plane_faces(points: Array, tolerance: float) -> Array:
     _, group = connected_components(links, directed=False)
     order = np.lexsort((-area, group))
     first = order[np.r_[True, np.diff(group[order]) > 0]]
-    linked = first[np.bincount(group)[group[first]] > _FACE_POINTS // 2]
+    linked = first[np.bincount(group)[group[first]] > 3]
     faces: list[Array] = []
     # those with the largest facets first
     for plane in planes[linked[np.argsort(-area[linked], kind="stable")]][:400]:
         depth = plane[3] - points[qhull.vertices] @ plane[:3]
         near = points[qhull.vertices[depth <= tolerance]]
         known = any((np.abs(face[3] - near @ face[:3]) <= tolerance).all() for face in faces)
-        if len(near) >= _FACE_POINTS and not known:
+        if len(near) >= 6 and not known:
             faces.append(plane)
     return np.array(faces) if faces else np.empty((0, 4))
 

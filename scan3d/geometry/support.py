@@ -40,9 +40,6 @@ _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
 _RIDGE = 1e-11
 
-# Changes real and imaginary parts (2, n) into those of the conjugate.
-_CONJUGATE = np.array([[1.0], [-1.0]])
-
 
 @dataclass(frozen=True)
 class SupportFit:
@@ -230,13 +227,13 @@ def _levels(u: Array, degree: int) -> dict[tuple[int, int], Array]:
 
 def _slopes(level: dict[tuple[int, int], Array], n: int, m: int) -> Array:
     """Gradients (1 or 2, 3, k) of the real and, unless m is 0, imaginary part of R_nm, from the harmonics (2, k)."""
-    zero = np.zeros_like(level[0, 0])
+    zero, conjugate = np.zeros_like(level[0, 0]), np.array([[1.0], [-1.0]])
     plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
-    minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else _CONJUGATE * plus  # (∂x - i∂y) R
+    minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else conjugate * plus  # (∂x - i∂y) R
     slopes = np.stack(
         [
             0.5 * (plus + minus),
-            _CONJUGATE * 0.5 * (plus - minus)[::-1],  # divided by 2i
+            conjugate * 0.5 * (plus - minus)[::-1],  # divided by 2i
             np.sqrt(n * n - m * m) * level.get((n - 1, m), zero),
         ],
         axis=1,

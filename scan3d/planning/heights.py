@@ -62,8 +62,6 @@ AT_ONCE = 4
 """Largest number of parts into which a slab is cut at once."""
 # Decimals of the gaps' roots, over the largest, by which slabs are compared, so that rounding decides nothing.
 _TIED_DECIMALS = 4
-# Slices on either side of a slab in the hull from which its gaps are measured.
-_BESIDE = 2
 
 
 def heights(low: float, high: float, plan: Plan) -> Array:
@@ -95,11 +93,11 @@ class SlabMemory:
     present ones, because the hull only grows; (1,) infinite where the slab is unbounded."""
 
     def measured(self, stack: SliceStack, others: Sequence[Array]) -> tuple[list[Slab], Array]:
-        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, from the hull of the slices around them, of a
-        few of the others, and of the contours (v, 3) of slices along other axes."""
+        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, from the hull of the two slices on
+        either side, of a few of the others, and of the contours (v, 3) of slices along other axes."""
         parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
         new = np.flatnonzero([key not in self.gaps for key in keys])
-        beside = (new[:, None] + np.arange(-_BESIDE, _BESIDE)).clip(0, len(stack.slices) - 1)
+        beside = (new[:, None] + np.arange(-2, 2)).clip(0, len(stack.slices) - 1)
         chosen = np.union1d(beside, evenly(np.arange(len(stack.slices)), FIRST_SLICES))
         distances = distance_from_hull(np.concatenate([*others, *(stack.contour(i) for i in chosen)]))
         for i in new:
@@ -612,8 +610,6 @@ def _within(stack: SliceStack, i: int, parts: int, opened: _Open, k: int) -> lis
 
 FIRST_PART, FEW = 3 / 8, 64
 """Part of the slices, of so many at most, that go along one axis first, by which a body proves a polyhedron."""
-# Places among which the other two of a plane are sought.
-_AMONG = 10
 # Part of the body's size below which a gap is none, and two corners are one.
 _NEAR = 1e-7
 
@@ -665,7 +661,7 @@ def _plane_of(places: Array, points: Array, normals: Array, size: float) -> tupl
 
     No plane where all would be nearly parallel to slices with `normals` (s, 3), or pass by most of the body.
     """
-    others = places[1 : 1 + _AMONG] if len(places) > 2 else np.concatenate([places[1:], evenly(points, _AMONG)])
+    others = places[1:11] if len(places) > 2 else np.concatenate([places[1:], evenly(points, 10)])
     i, j = np.triu_indices(len(others), 1)
     across = np.cross(others[i] - places[0], others[j] - places[0])
     normal = unit(across)

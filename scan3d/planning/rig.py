@@ -232,8 +232,7 @@ class RigPlan:
             needed = self.around.width / 2 / (1 - self.clearance)
             raise InputError(
                 f"a rod of {units.length(length, unit, digits=4)} doesn't reach the axis of {self.around} from a "
-                "clearance of "
-                f"{self.clearance:g} rod lengths; choose a rod of at least "
+                f"clearance of {self.clearance:g} rod lengths; choose a rod of at least "
                 f"{units.length(1.01 * needed, unit, up=True)}, or less clearance"
             )
         if self.max_force_N is None:
@@ -241,11 +240,9 @@ class RigPlan:
         least = largest_force(rod, largest)
         if least > self.max_force_N:
             raise InputError(
-                f"this rod may push with up to {units.force(least)} where it still reaches the axis of "
-                f"{self.around}, and the limit "
-                f"is {units.force(self.max_force_N)}; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times "
-                "the diameter, or a "
-                f"longer one"
+                f"this rod may push with up to {units.force(least)} where it still reaches the axis of {self.around}, "
+                f"and the limit is {units.force(self.max_force_N)}; choose a rod of "
+                f"{(self.max_force_N / least) ** 0.25:.2g} times the diameter, or a longer one"
             )
         return max(self.clearance, math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N))
 

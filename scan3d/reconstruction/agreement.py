@@ -81,9 +81,6 @@ BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
 LARGEST_SHARE = 0.1
 """Largest part of the rows with a force that may be left out; where more contradict the rest, nothing is certified."""
-# A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
-# robot's path may.
-_OFF_LINE = 0.05
 FALSE_ALARM = 1e-5
 """Probability that noise makes a correct recording exceed the allowed distances."""
 # Contacts, tangents, and contacts of the hull that are compared at most.
@@ -390,12 +387,12 @@ def _off_line(recording: Recording) -> list[Contradiction]:
     last = np.append(first[1:], len(recording)) - 1
     travel = recording.position_m[last] - recording.position_m[first]
     way = np.linalg.norm(travel, axis=1)
-    # the digits of two positions turn a short line by more than a fault would
-    moved = way > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / _OFF_LINE
+    off = 0.05  # of its travel, by which a robot's path may leave a line; digits turn a short one by more than a fault would
+    moved = way > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / off
     if not moved.any():
         return []
     along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / way[moved]
-    wrong = along < np.sqrt(1 - _OFF_LINE**2)
+    wrong = along < np.sqrt(1 - off**2)
     if not wrong.any():
         return []
     turn = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
@@ -646,10 +643,6 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
 # --- rows that contradict the rest ---
 
 
-# Contacts of a group: the median follows none of the wild ones among them while these are fewer than half.
-_GROUP = 8
-
-
 def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
     """The rows that contradict the rest; None if there are none, or if the noise is not known.
 
@@ -779,6 +772,7 @@ def _groups(points: Array, chosen: Mask) -> Index:
     """(g, s) neighbours along the contour of some of the contacts; none where these are too few."""
     away, count = points - points.mean(axis=0), int(chosen.sum())
     order = np.argsort(np.arctan2(away[:, 1], away[:, 0]), kind="stable")
-    order, size = order[chosen[order]], min(_GROUP, max(count, 1))
-    first = np.linspace(0, count - size, max(1, count // _GROUP) if 2 * size >= _GROUP else 0)
+    # of eight, whose median follows none of the wild ones among them while these are fewer than half
+    order, size = order[chosen[order]], min(8, max(count, 1))
+    first = np.linspace(0, count - size, max(1, count // 8) if size >= 4 else 0)
     return np.asarray(order[first.astype(np.intp)[:, None] + np.arange(size)])

@@ -437,8 +437,7 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
             distance,
             "mm",
             f"the moment was not moved to the clamp: it refers to a point {length(distance, 'mm')} from it; state "
-            f"{position} under "
-            "[sensor], or calibrate",
+            f"{position} under [sensor], or calibrate",
         )
     axis = int(np.argmax(np.abs(vector)))
     # smaller parts of a turn are not named

@@ -46,8 +46,6 @@ _DEGREE_GAIN = 0.8
 _PER_COEFFICIENT, _TO_TRY = 4, 10
 # Error of a fit, in mean radii, above which a body has edges whatever the degree.
 _HOPELESS = 2e-2
-# Tangential contacts around a contact that show the error of fitted normals.
-_NEAREST = 12
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
 # Contacts whose depths below all facets are computed at once, for memory.
@@ -335,16 +333,16 @@ def _converged(used: _Part, held_out: _Part, degree: int) -> tuple[SupportFit, f
 def _fitted_sd(cloud: Cloud, normals: Array, turn: float) -> Array:
     """Standard deviation (n,) of the angle of fitted normals (n, 3).
 
-    In tangential contact the normal is perpendicular to the rod: deviations from that, at the nearest such contacts, show one
-    of the two components of the error.  `turn` is the smallest that is believed: a function of some degree turns by its degree
-    times its error.
+    In tangential contact the normal is perpendicular to the rod: deviations from that, at the twelve nearest ones, show one of
+    the two components of the error.  `turn` is the smallest that is believed: a function of some degree turns by its
+    degree times its error.
     """
     sd = np.full(len(cloud), np.hypot(turn, EXACT))
     tangential = np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL)
-    if len(tangential) < _NEAREST or cloud.tangents is None:
+    if len(tangential) < 12 or cloud.tangents is None:
         return sd
     square = (normals[tangential] * cloud.tangents[tangential]).sum(axis=1) ** 2
-    near = cKDTree(cloud.points[tangential]).query(cloud.points, _NEAREST)[1]
+    near = cKDTree(cloud.points[tangential]).query(cloud.points, 12)[1]
     return np.asarray(np.sqrt(sd**2 + 2 * square[near].mean(axis=1)))
 
 

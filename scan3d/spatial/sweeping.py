@@ -34,8 +34,6 @@ STRAIGHT = 1e-14
 _SPHERE = sphere_directions(1500)
 # Normals across a rod at which the figure is evaluated; they close in on that of the touch-down.
 _AROUND = 24
-# Rods that are evaluated at once, so that the intermediate arrays stay small.
-_RODS = 64
 # Distance in rod lengths at which a place counts as found.
 _FOUND = 1e-10
 
@@ -110,11 +108,11 @@ class Passage(NamedTuple):
 
 def passages(body: Body, position: Array, along: Array, travel: Array) -> Passage:
     """Passages of n straight rods of length 1 at `position` (3, n), in directions `along` (3, n), moving by `travel` (3, n)."""
-    parts = [
-        _passages(body, *(column[:, first : first + _RODS] for column in (position, along, travel)))
-        for first in range(0, max(position.shape[1], 1), _RODS)
-    ]
-    return Passage(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
+    columns = position, along, travel
+    # 64 rods at once, so that the intermediate arrays stay small
+    blocks = [slice(first, first + 64) for first in range(0, max(position.shape[1], 1), 64)]
+    parts = [_passages(body, *(column[:, block] for column in columns)) for block in blocks]
+    return Passage(*(np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)))
 
 
 def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passage:

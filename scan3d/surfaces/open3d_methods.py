@@ -27,8 +27,6 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import areas, kept_apart, without_unused
 
-# Multiples to which coordinates are rounded, over the cloud's size.
-_GRID = 2.0**-30
 # Side of Poisson's cube, in widths of the cloud.
 _CUBE = 3.0
 
@@ -145,7 +143,7 @@ def _even(points: Array, normals: Array) -> _Even:
         )
     original, normals = np.split(rows, 2, axis=1)
     middle, size = (original.min(axis=0) + original.max(axis=0)) / 2, float(np.ptp(original, axis=0).max()) or 1.0
-    scaled = np.round((original - middle) / size / _GRID) * _GRID
+    scaled = np.ldexp(np.round(np.ldexp((original - middle) / size, 30)), -30)
     centre, shape = inertia(hull(scaled).vertices.view(np.ndarray))
     widths = np.linalg.eigvalsh(shape)
     if widths[0] < 1e-4 * widths[-1]:
