@@ -26,7 +26,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -64,10 +64,8 @@ def polygon_loop(vertices: Array) -> Loop:
     n = len(vertices)
     cubics = np.zeros((n, 4, 2))
     cubics[:, 0], cubics[:, 1] = vertices, edges
-    following = np.roll(edges, -1, axis=0)
     turn = np.zeros(2 * n)
-    cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    turn[1::2] = np.arctan2(cross, (edges * following).sum(axis=1))
+    turn[1::2] = np.roll(_turns(vertices), -1)
     count = np.tile(np.array([1, 0], dtype=np.intp), n)
     return Loop(cubics, np.repeat(np.arange(n), 2), count, np.repeat(angle, 2), turn, np.full((3, 2), np.nan))
 
@@ -157,13 +155,10 @@ class Outlines:
         self.samples = points
         self._tree = scipy.spatial.cKDTree(np.column_stack([points, _APART * self.body[self._piece]]))
         begins = np.flatnonzero(np.diff(self.body[self._piece], prepend=-1))
-        both = np.stack(
-            [self.at(self._piece, np.floor(self._u)).point, points]
-        )  # vertices are among the extreme points
-        self.low, self.high = (
-            np.minimum.reduceat(both.min(axis=0), begins),
-            np.maximum.reduceat(both.max(axis=0), begins),
-        )
+        # vertices are among the extreme points
+        both = np.stack([self.at(self._piece, np.floor(self._u)).point, points])
+        self.low = np.minimum.reduceat(both.min(axis=0), begins)
+        self.high = np.maximum.reduceat(both.max(axis=0), begins)
 
     def at(self, piece: Index, u: Array) -> Place:
         """The outline at parameters u (n,) of pieces (n,); lines go on straight past their ends, closed curves around."""
@@ -342,16 +337,6 @@ _LONGEST_PIECE = 0.05
 _WIDEST_PIECE = np.radians(4.0)
 
 
-class SmoothCurve(Protocol):
-    """A strictly convex curve given by its slope angle."""
-
-    def points(self, slope: ArrayLike) -> Array:
-        """Points (n, 2) with the slope angles (n,) in radians."""
-
-    def radius_of_curvature(self, slope: ArrayLike) -> Array:
-        """Radius of curvature (n,) at the slope angles (n,), in rod lengths."""
-
-
 @dataclass(frozen=True)
 class Path:
     """Contours as the rod passes them: rows of pieces, those of contour i from `offsets[i]` to `offsets[i + 1]`.
@@ -369,7 +354,7 @@ class Path:
     """(p, 2) change of the point over the piece."""
     offsets: Index
     """(contours + 1,) first piece of each contour."""
-    smooth: SmoothCurve | None = None
+    smooth: SmoothContour | None = None
 
     def at(self, piece: Index, t: Array) -> tuple[Array, Array, Array]:
         """Slope, x and y of the contour at parameter t (n,) of the pieces (n,)."""
@@ -387,7 +372,7 @@ class Path:
         return np.asarray(-np.hypot(self.move[piece, 0], self.move[piece, 1]))
 
 
-def smooth_path(curve: SmoothCurve) -> Path:
+def smooth_path(curve: SmoothContour) -> Path:
     """The path along the lower side of a smooth curve, as far as the tip of the upright rod reaches.
 
     Raises ValueError if the curve lies outside the rod's reach.
@@ -429,19 +414,14 @@ def polygon_paths(polygons: Sequence[Array]) -> Path:
     for vertices in polygons:
         check_height(vertices[:, 1].min())
         # those on the lower side, within reach and short enough
-        pieces.append(_Pieces(*subdivided(*_within_reach(_lower_side(vertices)))[0]))
-    offsets = np.cumsum([0] + [len(polygon.slope) for polygon in pieces])
-    joined = _Pieces(*(np.concatenate(columns) for columns in zip(*pieces, strict=True)))
-    return Path(joined.slope, joined.turn, joined.point, joined.move, offsets)
+        pieces.append(subdivided(*_within_reach(*_lower_side(vertices)))[0])
+    offsets = np.cumsum([0] + [len(slope) for slope, *_ in pieces])
+    slope, turn, point, move = (np.concatenate(columns) for columns in zip(*pieces, strict=True))
+    return Path(slope, turn, point, move, offsets)
 
 
-class _Pieces(NamedTuple):
-    """Pieces (p,) of one polygon: the columns of a `Path`."""
-
-    slope: Array
-    turn: Array
-    point: Array
-    move: Array
+_Pieces = tuple[Array, Array, Array, Array]
+"""Slope, turn, point and move of the pieces (p,) of one polygon, as in `Path`."""
 
 
 def _lower_side(vertices: Array) -> _Pieces:
@@ -462,12 +442,11 @@ def _lower_side(vertices: Array) -> _Pieces:
     slope[0::2], slope[1::2] = bounds[:-1], angles
     turn[0::2] = np.diff(bounds)
     move[1::2] = np.diff(corners, axis=0)
-    return _Pieces(slope, turn, point, move)
+    return slope, turn, point, move
 
 
-def _within_reach(pieces: _Pieces) -> _Pieces:
+def _within_reach(slope: Array, turn: Array, point: Array, move: Array) -> _Pieces:
     """The pieces below the tip of the upright rod, y <= 1: one interval of the path, because y is convex along it."""
-    slope, turn, point, move = pieces
     ends = point + move
     inside = np.minimum(point[:, 1], ends[:, 1]) <= 1.0
     inside &= (turn != 0) | (np.abs(move).sum(axis=1) > 0)
@@ -478,10 +457,10 @@ def _within_reach(pieces: _Pieces) -> _Pieces:
         move[0] = ends[0] - point[0]
     if ends[-1, 1] > 1.0:
         move[-1] *= (1.0 - point[-1, 1]) / (ends[-1, 1] - point[-1, 1])
-    return _Pieces(slope, turn, point, move)
+    return slope, turn, point, move
 
 
-def subdivided(slope: Array, turn: Array, point: Array, move: Array) -> tuple[tuple[Array, Array, Array, Array], Index]:
+def subdivided(slope: Array, turn: Array, point: Array, move: Array) -> tuple[_Pieces, Index]:
     """The pieces divided evenly until none is longer or wider than the bounds, and the piece that each part is of."""
     parts = np.maximum(np.hypot(*move.T) / _LONGEST_PIECE, np.abs(turn) / _WIDEST_PIECE)
     parts = np.maximum(np.ceil(parts), 1).astype(np.intp)
@@ -633,12 +612,8 @@ class Polygon(Contour):
         object.__setattr__(self, "vertices", vertices)
 
     @cached_property
-    def _convex(self) -> bool:
-        return not (_turns(self.vertices) < 0).any()
-
-    @property
     def is_convex(self) -> bool:
-        return self._convex
+        return not (_turns(self.vertices) < 0).any()
 
     def path(self) -> Path:
         _check_convex(self)
@@ -806,13 +781,8 @@ def _extent(vertices: Array) -> tuple[float, float]:
     size = float(np.ptp(vertices, axis=0).max())
     following = np.roll(vertices, -1, axis=0)
     centre = vertices.mean(axis=0)
-    area = (
-        np.sum(
-            (vertices - centre)[:, 0] * (following - centre)[:, 1]
-            - (vertices - centre)[:, 1] * (following - centre)[:, 0]
-        )
-        / 2
-    )
+    (x, y), (u, v) = (vertices - centre).T, (following - centre).T
+    area = np.sum(x * v - y * u) / 2
     if abs(area) <= ROUNDING * size**2:
         raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
     return size, float(area)

@@ -121,10 +121,8 @@ class Sweep:
         """(n, k) the contacts in their order along the rod: records (``sweeping.CONTACT``), NaN where there are fewer."""
         records = np.recarray((len(self), 1), dtype=CONTACT)
         records.s1, records.point, records.slope = self.s1[:, None], self.point[:, None], self.slope[:, None]
-        records.force, records.force_angle = (
-            np.hypot(self.f0x, self.f0y)[:, None],
-            np.arctan2(-self.f0x, self.f0y)[:, None],
-        )
+        records.force = np.hypot(self.f0x, self.f0y)[:, None]
+        records.force_angle = np.arctan2(-self.f0x, self.f0y)[:, None]
         return records
 
 

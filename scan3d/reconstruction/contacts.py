@@ -86,9 +86,8 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     pressed = felt(recording.pressing(six_axis=False), noise)
     tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
     radius = rod.diameter_m / 2
-    if (
-        radius
-    ):  # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
+    # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
+    if radius:
         steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
         reach = radius / rod.length_m / np.cos(np.nan_to_num(steep))
         tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)

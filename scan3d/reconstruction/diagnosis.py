@@ -705,10 +705,8 @@ def _least(deviations: Callable[[Array], Array], numbers: Array, limit: float, e
 
 def _deviations(trial: _Trial, left: _Left, sample: _Sample) -> Callable[[Array], Array]:
     """What is left with other numbers, over the standard deviations that it has with those of the trial."""
-    sd, near = (
-        np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST),
-        sample.near(trial.cause.undone(trial.numbers)),
-    )
+    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
+    near = sample.near(trial.cause.undone(trial.numbers))
     return lambda n: np.asarray(np.minimum(near.left(trial.cause.undone(n)).found / sd, _SURELY).ravel())
 
 

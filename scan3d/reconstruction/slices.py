@@ -212,10 +212,8 @@ class SupportFunctions:
         width = np.mod(self._angle[following] - self._angle, 2 * np.pi)
         self._width = np.where(width == 0, 2 * np.pi, width)
         self._sine = np.sin(self._width)
-        value, slope = (
-            np.concatenate([slice_.value for slice_ in slices]),
-            np.hstack([slice_.slope for slice_ in slices]),
-        )
+        value = np.concatenate([slice_.value for slice_ in slices])
+        slope = np.hstack([slice_.slope for slice_ in slices])
         corner = np.concatenate([slice_.corner for slice_ in slices])
         self._ends = np.stack([value, value[following], slope[1], slope[0, following]])
         """(4, a) values at both ends of each interval, and slopes there."""

@@ -64,10 +64,8 @@ def bent(state: Array, clamp: Clamp) -> Bent:
     shape = bend_with_slopes(alpha, q)
     length = shape.shape.length
     x, y = shape.shape.x / length, shape.shape.y / length
-    x_alpha, y_alpha = (
-        (shape.x_alpha - x * shape.length_alpha) / length,
-        (shape.y_alpha - y * shape.length_alpha) / length,
-    )
+    x_alpha = (shape.x_alpha - x * shape.length_alpha) / length
+    y_alpha = (shape.y_alpha - y * shape.length_alpha) / length
     by_square = 1 / (2 * q * length)
     x_square, y_square = (shape.x_q - x * shape.length_q) * by_square, (shape.y_q - y * shape.length_q) * by_square
     reach = x * e + y * clamp.y
