@@ -245,9 +245,8 @@ def follow(
     rank = np.arange(count) - first[number]
     begin, begin_sd = start[number], np.broadcast_to(start_sd, start.shape)[number]
     force, covariance = np.full((count, 2), np.nan), np.full((count, 4, 4), np.nan)
-    common = np.zeros(
-        (3, count, 4)
-    )  # what errors of the friction angle, the start and the steps change, in each sweep alike
+    # what errors of the friction angle, the start and the steps change, in each sweep alike
+    common = np.zeros((3, count, 4))
     curvature = np.zeros(count)  # of the surface up to a row
     for k in range(int(rank.max(initial=-1)) + 1):
         rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
@@ -284,11 +283,8 @@ def follow(
             curvature[rows] = turn / np.maximum(way, np.finfo(float).tiny)
             second_sd = np.minimum(way**2 * np.abs(curvature[rows] - curvature[rows - 1]) / 6, way * turn)
         inverse = -_inverse(by_here[:, :, :2])
-        right = (
-            (np.abs(residual).max(axis=1) < 1e3 * _FOLLOWED)
-            & (at.s1 <= 1 + 1e-9)
-            & np.isfinite(inverse).all(axis=(1, 2))
-        )
+        right = (np.abs(residual).max(axis=1) < 1e3 * _FOLLOWED) & (at.s1 <= 1 + 1e-9)
+        right &= np.isfinite(inverse).all(axis=(1, 2))
         rows, by_here, by_before = rows[right], by_here[right], by_before[right]
         inverse, second_sd = inverse[right], second_sd[right]
         force[rows] = here[right]

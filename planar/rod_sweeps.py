@@ -294,11 +294,8 @@ def _halved(rod: Rod, table: Table) -> Table:
     least[1:-2] = (x0[1:-1] < x0[:-2]) & (x0[1:-1] < x0[2:])
     turns = (least[rows] | least[rows + 1]) & before & after
     touched = (states.force[rows] == 0) | (states.force[rows + 1] == 0)
-    chosen = (
-        (before != after)
-        | turns
-        | (before & after & (touched | (states.tangential[rows] != states.tangential[rows + 1])))
-    )
+    changes = touched | (states.tangential[rows] != states.tangential[rows + 1])
+    chosen = (before != after) | turns | (before & after & changes)
     chosen &= states.place[rows + 1] - states.place[rows] > _SOLVED
     rows, between = rows[chosen], (before & after)[chosen]
     owner, course = table.owner[rows], table.course.rows(rows)

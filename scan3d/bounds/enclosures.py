@@ -527,8 +527,7 @@ def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
     margin, normals = float(errors.max()), tangent.normals()
     bodies = ((centre_hull, cloud.rod_radius + margin), *_bodies_by_arcs(cloud, tangent.rows, normals, margin))
     inner = _inner_body(cloud, centre_hull)
-    gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
-    return _anywhere(cloud, (inner, bodies, margin), (corners, gap, directions), confidence)
+    return _anywhere(cloud, (inner, bodies, margin), corners, directions, confidence)
 
 
 def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
@@ -555,24 +554,23 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) ->
         found.centre + far * unit(found.directions),
         np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
     )
-    bounds = []
-    for inner, bodies, margin in candidates:
-        gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
-        part = (inner, bodies, margin), (corners, gap, Directions(apexes, is_open))
-        bounds.append(_anywhere(cloud, *part, confidence))
+    directions = Directions(apexes, is_open)
+    bounds = [_anywhere(cloud, within, corners, directions, confidence) for within in candidates]
     return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
 
 
 def _anywhere(
     cloud: Cloud,
     within: tuple[Any, tuple[tuple[Any, float], ...], float],
-    outside: tuple[Array, Array, Directions],
+    corners: Array,
+    directions: Directions,
     confidence: float,
 ) -> Enclosure:
     """The enclosure by an inner body, the bodies that it may stick out of by so much, and the largest error of theirs, and by
-    the corners of an outer body, their distances from the inner one, and the directions in which there are none."""
-    (inner, bodies, margin), (corners, gap, directions) = within, outside
+    the corners of an outer body, and the directions in which there are none."""
+    inner, bodies, margin = within
     radius, unbounded = cloud.rod_radius, bool(directions.open.any())
+    gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
     excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), margin)
     return Enclosure(
         inner=inner,

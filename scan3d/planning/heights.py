@@ -47,8 +47,8 @@ from scan3d.planning.plan import Plan, cosine_fractions
 from scan3d.reconstruction.facets import POLYHEDRON, polyhedron
 from scan3d.reconstruction.slices import SAME_AXIS, SliceStack, stacks
 
-FIRST_SLICES = 8
-"""Slices inside the body with which adaptive spacing starts along one axis."""
+FIRST_SLICES, FIRST_TOGETHER = 8, 3
+"""Slices inside the body with which adaptive spacing starts along one axis, and along each of several."""
 BEYOND = 2
 """Slices beyond the ends of the body that every spacing adds to the slices of a plan."""
 LEAST_OVERSHOOT = 1e-4
@@ -70,16 +70,19 @@ def heights(low: float, high: float, plan: Plan) -> Array:
     return low + (high - low) * (cosine_fractions(plan.slices) if plan.spacing == "cosine" else even)
 
 
-def first_heights(low: float, high: float, plan: Plan) -> Array:
+def first_heights(low: float, high: float, plan: Plan, *, together: bool = False) -> Array:
     """Heights (k,) that are scanned before any contact is known, one beyond either end of the body included.
 
-    Adaptive spacing starts with a few of the heights of cosine spacing.
+    Adaptive spacing starts with a few of the heights of cosine spacing; with those of all slices, if from then on all were
+    along this one of several axes, where the contacts along all of them are looked at `together`.
     """
-    adaptive = plan.spacing == "adaptive"
-    inside = heights(low, high, replace(plan, spacing="cosine") if adaptive else plan)
+    adaptive, axes = plan.spacing == "adaptive", len(plan.axes()) if together else 1
+    few = min(FIRST_TOGETHER, plan.slices) if together else FIRST_SLICES
+    cosine = replace(plan, slices=axes * plan.slices - (axes - 1) * few, spacing="cosine")
+    inside = heights(low, high, cosine if adaptive else plan)
     beyond = max(float(inside[0]) - low, LEAST_OVERSHOOT * (high - low))
     if adaptive:
-        inside = inside[np.unique(np.linspace(0, len(inside) - 1, FIRST_SLICES).round().astype(np.intp))]
+        inside = inside[np.unique(np.linspace(0, len(inside) - 1, few).round().astype(np.intp))]
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
@@ -348,8 +351,6 @@ def open_contours(cloud: Cloud, tolerance: float) -> tuple[Array, float]:
     return heights[np.unique(nearest)], float(bounds.gap[in_plane].max(initial=0.0))
 
 
-# Slices inside the body along each axis with which a scan along several axes starts.
-FIRST_TOGETHER = 3
 # Gaps over the largest one of the cells whose corners are looked at for vertices.
 _WIDE = 0.1
 # Part of the body's size, of a gap, or of a radian that makes no difference, so that rounding does not choose between axes.
@@ -387,18 +388,6 @@ class Further(NamedTuple):
     """Axes (3,) and heights (k,)."""
     alone: Array | None = None
     """(3,) the axis of all slices that are left, which are best planned as those of a scan along it alone; else None."""
-
-
-def first_heights_together(low: float, high: float, plan: Plan) -> Array:
-    """Heights (k,) along one of several axes that are scanned before any contact is known, one beyond either end included.
-
-    They are some of those of cosine spacing of all slices, if from then on all were along this axis.
-    """
-    axes, few = len(plan.axes()), min(FIRST_TOGETHER, plan.slices)
-    inside = heights(low, high, replace(plan, slices=axes * plan.slices - (axes - 1) * few, spacing="cosine"))
-    beyond = max(float(inside[0]) - low, LEAST_OVERSHOOT * (high - low))
-    chosen = np.unique(np.linspace(0, len(inside) - 1, few).round().astype(np.intp))
-    return np.concatenate([inside[chosen], [low - beyond, high + beyond]])
 
 
 def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:

@@ -301,17 +301,11 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
         about_z, about_x = (float(part) / rod.length_m for part in np.pad(n, (0, 2 - count)))
         return about_z, about_x, 0.0
 
-    def tip(n: Array) -> float:
-        return float(np.exp(n[0]))
-
     def weight(n: Array) -> float:
         return _TENTH * float(np.exp(min(n[0], 2.0))) * rod.force_unit_N
 
-    def compliance(n: Array) -> float:
-        return _TENTH * float(np.exp(min(n[0], 2.0))) / rod.moment_unit_Nm
-
-    def curved(n: Array) -> Rod:
-        return replace(rod, curvature_per_m=curvature(n) if spatial else curvature(n)[0])
+    def curved(n: Array) -> Undone:
+        return Undone(rod=replace(rod, curvature_per_m=curvature(n) if spatial else curvature(n)[0]))
 
     def heavy(n: Array, tared: bool) -> Undone:
         found = replace(rod, weight_N=weight(n))
@@ -331,28 +325,29 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
         )
         return _named("weight", weight(n), "N", text)
 
-    def of_taper(n: Array) -> Diagnosis:
-        text = f"the rod tapers to {tip(n):.3g} of its diameter: measure it at the tip, and state tip_diameter_m"
-        return _named("taper", tip(n), "times", text)
+    def tapered(n: Array) -> tuple[Rod, float]:
+        part = float(np.exp(n[0]))
+        return replace(thick, tip_diameter_m=part * thick.diameter_m), part
 
-    def of_clamp(n: Array) -> Diagnosis:
-        text = (
-            f"the clamp gives by {compliance(n):.3g} rad per N m: load it by a known moment, and state "
-            "clamp_compliance_rad_per_Nm"
-        )
-        return _named("clamp-compliance", compliance(n), "rad/(N m)", text)
+    def yielding(n: Array) -> tuple[Rod, float]:
+        compliance = _TENTH * float(np.exp(min(n[0], 2.0))) / rod.moment_unit_Nm
+        return replace(rod, clamp_compliance_rad_per_Nm=compliance), compliance
 
-    def tapered(n: Array) -> Undone:
-        return Undone(rod=replace(thick, tip_diameter_m=tip(n) * thick.diameter_m))
+    def of_one(
+        code: str, unit: str, text: str, changed: Callable[[Array], tuple[Rod, float]]
+    ) -> tuple[Callable[[Array], Undone], Callable[[Array], Diagnosis]]:
+        def named(n: Array) -> Diagnosis:
+            return _named(code, changed(n)[1], unit, text.format(changed(n)[1]))
 
-    def yielding(n: Array) -> Undone:
-        return Undone(rod=replace(rod, clamp_compliance_rad_per_Nm=compliance(n)))
+        return lambda n: Undone(rod=changed(n)[0]), named
 
+    taper = "the rod tapers to {:.3g} of its diameter: measure it at the tip, and state tip_diameter_m"
+    gives = "the clamp gives by {:.3g} rad per N m: load it by a known moment, and state clamp_compliance_rad_per_Nm"
     arcs = np.kron(np.eye(count), np.array([[-0.02], [-0.3], [0.02], [0.3]]))  # curvatures in 1/L
     found = [
-        Cause(np.log([[0.5], [0.7], [0.95]]), tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
-        Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),
-        Cause(_SMALL[:1], yielding, of_clamp, 1, _LARGEST_LOG, "rod"),
+        Cause(np.log([[0.5], [0.7], [0.95]]), *of_one("taper", "times", taper, tapered), 1, _LARGEST_SCALE, "rod"),
+        Cause(arcs, curved, of_curvature, count, _LARGEST_SCALE, "rod"),
+        Cause(_SMALL[:1], *of_one("clamp-compliance", "rad/(N m)", gives, yielding), 1, _LARGEST_LOG, "rod"),
     ]
     # what a sensor shows in the air that was not tared is the weight
     in_air = float(np.median(np.linalg.norm(wrench[np.unique(recording.sweep, return_index=True)[1], :3], axis=1)))

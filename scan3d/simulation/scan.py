@@ -26,7 +26,6 @@ from scan3d.planning.heights import (
     Aims,
     SlabMemory,
     first_heights,
-    first_heights_together,
     next_heights,
     next_slices,
     open_contours,
@@ -264,7 +263,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
         _adapt(scans[0], rod, report, until=round(FIRST_PART * min(plan.slices, FEW)))
     else:
         for scan in scans:
-            scanned(scan, first_heights_together(*scan.extent, plan))
+            scanned(scan, first_heights(*scan.extent, plan, together=True))
     while (left := most - sum(len(scan.heights) for scan in scans)) > 0:
         try:
             further, alone = next_ones(contacts(recording_of(scans, rod)), plan, left)

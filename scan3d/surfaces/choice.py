@@ -141,9 +141,8 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     bent = next(iter(of_kept))
     errors = {bent: error_of_surface(of_kept.pop(bent)(), held_out)}
     if fit is not None and not cloud.noisy and fit.judged <= errors[bent].judged:
-        return _fitted(
-            cloud, lie_within(fit)
-        )  # the first estimate is that of bent bodies, and no other is better there
+        # the first estimate is that of bent bodies, and no other is better there
+        return _fitted(cloud, lie_within(fit))
     errors |= {name: error_of_surface(make(), held_out) for name, make in of_kept.items()}
     best = min(errors, key=lambda name: errors[name].judged)
     regressed = None

@@ -615,9 +615,8 @@ def _body(cloud: Cloud, points: Array, planes: Planes) -> Any:
     inside = touched.vertices.view(np.ndarray).mean(axis=0)
     faces = np.concatenate([np.column_stack([planes.normals, planes.offsets]), _limits(cloud)])
     vertices = cut_polytope(faces, np.empty((0, 4)), inside, size, 0.0)
-    vertices = vertices[
-        np.abs(vertices - inside).max(axis=1) <= size
-    ]  # others are those of planes that leave the body open
+    # others are those of planes that leave the body open
+    vertices = vertices[np.abs(vertices - inside).max(axis=1) <= size]
     if len(vertices):
         _, _, inner = nearest(vertices, touched)
         # A vertex counts where each of its planes has contacts within this many median distances between neighbouring
