@@ -14,7 +14,6 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.slices import stacks
 
 
 def body(seed):
@@ -38,7 +37,7 @@ def scanned(seed, slices=6, axes="xyz", spacing="cosine"):
 
 
 def found_in(cloud):
-    return cells_of_cloud(cloud, stacks(cloud), hull(cloud.points))
+    return cells_of_cloud(cloud, hull(cloud.points))
 
 
 def test_a_thin_cell_that_no_tried_point_lies_in_has_its_corners():

@@ -52,7 +52,7 @@ from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import half_space_intersection
 from scan3d.geometry.triangles import dot
-from scan3d.reconstruction.slices import SliceStack
+from scan3d.reconstruction.slices import SliceStack, stacks
 
 MOST_CROSSINGS = 6_000
 """Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
@@ -109,10 +109,10 @@ class Cells(NamedTuple):
     """(w,) the half-spaces (k, 4) that meet in each corner, a and b of ``a·x + b <= 0``."""
 
 
-def applicable(cloud: Cloud, by_axis: Sequence[SliceStack]) -> bool:
+def has_cells(cloud: Cloud) -> bool:
     """Whether the contacts are exact, with slabs along several axes, and cells not too many."""
     exact = cloud.covariance is None and cloud.calibration is None and cloud.tilt is None and not cloud.noise
-    counts = [len(stack.slices) for stack in by_axis]
+    counts = [len(stack.slices) for stack in stacks(cloud)]
     return exact and len(counts) > 1 and min(counts) > 1 and crossings(counts) <= MOST_CROSSINGS
 
 
@@ -121,15 +121,15 @@ def crossings(slices: Iterable[int]) -> int:
     return sum(a * b for a, b in combinations(slices, 2))
 
 
-def cells_of_cloud(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> Cells:
+def cells_of_cloud(cloud: Cloud, inner: Any) -> Cells:
     """The cells of a cloud of exact contacts, in slices along several axes, around `inner`, the hull of the contacts."""
-    return _Flood(cloud, by_axis, inner).cells()
+    return _Flood(cloud, inner).cells()
 
 
-def tighter_cells(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any, place: Array, bound: float) -> Cells | None:
+def tighter_cells(cloud: Cloud, inner: Any, place: Array, bound: float) -> Cells | None:
     """As `cells_of_cloud`; None if the cell at a place (3,) reaches as far from the hull as a bound, which is found at once."""
-    flood = _Flood(cloud, by_axis, inner)
-    return None if flood.gap_at(place) >= bound else flood.cells()
+    flood = _Flood(cloud, inner)
+    return None if np.isfinite(place).all() and flood.gap_at(place) >= bound else flood.cells()
 
 
 def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None) -> list[Slab]:
@@ -407,7 +407,8 @@ def _frame(by_axis: Sequence[SliceStack]) -> tuple[Array, list[int]]:
 class _Flood:
     """The cells that the surface of a body can reach outside the hull of its exact contacts."""
 
-    def __init__(self, cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> None:
+    def __init__(self, cloud: Cloud, inner: Any) -> None:
+        by_axis = stacks(cloud)
         sides, off = by_arcs(cloud, by_axis)
         self._arrangement = _Arrangement(by_axis, lambda k, side, i: sides[k][side][i], off)
         self._distance, self._size = nearest_on(inner), float(np.linalg.norm(inner.extents))

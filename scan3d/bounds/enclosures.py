@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit
-from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
+from scan3d.bounds.cells import Gap, Slab, has_cells, slabs, tighter_cells
 from scan3d.bounds.constraints import (
     CONFIDENCE,
     EXACT,
@@ -236,15 +236,10 @@ def unbounded(cloud: Cloud) -> Enclosure:
 
 def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     """The enclosure with that by the cells between the slices of all axes, if it is tighter by more than a few percent."""
-    by_axis = stacks(cloud)
-    if not applicable(cloud, by_axis):
+    if not has_cells(cloud):
         return bounds
-    worst, part = bounds.corners[bounds.gap.argmax()], 0.95
-    found = (
-        tighter_cells(cloud, by_axis, bounds.inner, worst, part * bounds.bound)
-        if np.isfinite(worst).all()
-        else cells_of_cloud(cloud, by_axis, bounds.inner)
-    )
+    part = 0.95
+    found = tighter_cells(cloud, bounds.inner, bounds.corners[bounds.gap.argmax()], part * bounds.bound)
     if found is None:
         return bounds
     return _tightened(bounds, found.corners, found.gap, exact_error(cloud), part)

@@ -448,7 +448,7 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
 
 def _open(cloud: Cloud, by_axis: list[SliceStack], size: float, tolerance: float) -> _Open:
     """The cells with a gap above the tolerance; where nothing bounds a cell, its gap is the body's size."""
-    found = cells_of_cloud(cloud, by_axis, hull(cloud.points))
+    found = cells_of_cloud(cloud, hull(cloud.points))
     order = np.lexsort((-found.gap, found.cell))
     worst = order[np.unique(found.cell[order], return_index=True)[1]]
     worst = worst[found.gap[worst] > tolerance]

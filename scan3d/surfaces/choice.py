@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import SOME, Array, evenly, ratio
+from scan3d.bounds.cells import has_cells
 from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
@@ -22,7 +23,7 @@ from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
-from scan3d.surfaces.estimates import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, regression, room, with_edges
+from scan3d.surfaces.estimates import FRACTIONS, UNKNOWN, Room, between, curved, regression, room, with_edges
 from scan3d.units import length
 
 Estimates = dict[str, Callable[[], Any]]
@@ -129,6 +130,7 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return f"held-out {sweeps} lie within {length(error.largest, cloud.unit, digits=2)}"
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
+    # a part of the slices may have cells where all are too many
     by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
     has_edges = cloud.fit is None
     of_whole = cache(partial(_estimates, cloud, bounds, by_cells, has_edges))

@@ -53,7 +53,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mask, across, highest, ratio, unit
-from scan3d.bounds.cells import applicable, cells_of_cloud
+from scan3d.bounds.cells import cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
@@ -92,11 +92,6 @@ class Room(NamedTuple):
     """Number of known facets if the body is a polyhedron by the contacts, nearly all of which lie on them; else 0."""
 
 
-def has_cells(cloud: Cloud) -> bool:
-    """Whether a cloud has `room` by cells; a part of its slices may have it where all are too many."""
-    return applicable(cloud, stacks(cloud))
-
-
 def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False, has_edges: bool = True) -> Room:
     """The room that contacts in slices leave, taken as they are: noise may let the body reach farther.
 
@@ -109,7 +104,7 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
         whether the body may have facets: a smooth one has those of its mesh alone.
     """
     if by_cells:
-        cells = cells_of_cloud(cloud, stacks(cloud), hull(cloud.points))
+        cells = cells_of_cloud(cloud, hull(cloud.points))
         open_ = np.isfinite(cells.gap) & (cells.gap > 0)
         foot = cells.foot[open_]
         half_way, free = np.full((2, len(foot)), [[UNKNOWN], [np.nan]])
