@@ -225,43 +225,18 @@ def reconstruct(
             raise ValueError(f"friction must be one number >= 0 or one for each sample, got {given}")
         zeta = np.arctan(mu)
 
-    contacts = _empty(len(reactions.x0))
-    for first in range(0, len(contacts), BLOCK):
+    parts = []
+    for first in range(0, max(len(reactions.x0), 1), BLOCK):
         rows = slice(first, first + BLOCK)
-        block = Contacts(**{column.name: getattr(contacts, column.name)[rows] for column in fields(contacts)})
-        zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
-        zero_block = zero[rows] if zero.ndim else zero
-        _fill(
-            block,
-            Reactions(*(column[rows] for column in reactions)),
-            method,
-            rod.rows(rows),
-            zeta_block,
-            zero_block,
-            -direction,
-        )
-    return contacts
+        block = Reactions(*(column[rows] for column in reactions))
+        angle = zeta[rows] if zeta is not None and zeta.ndim else zeta
+        parts.append(_of_block(block, method, rod.rows(rows), angle, zero[rows] if zero.ndim else zero, -direction))
+    columns = ([getattr(part, column.name) for part in parts] for column in fields(Contacts))
+    return Contacts(*map(np.concatenate, columns))
 
 
-def _empty(count: int) -> Contacts:
-    """Contacts whose arrays are allocated but not filled."""
-    return Contacts(
-        point=np.empty((count, 2)),
-        s1=np.empty(count),
-        phase=np.empty(count, dtype=np.int8),
-        status=np.empty(count, dtype=np.int8),
-        force=np.empty(count),
-        force_angle=np.empty(count),
-        friction_angle_bound=np.empty(count),
-        slope=np.empty(count),
-        normal_source=np.empty(count, dtype=np.int8),
-    )
-
-
-def _fill(
-    contacts: Contacts, reactions: Reactions, method: str, rod: Rod, zeta: Array | None, tolerance: Array, side: int
-) -> None:
-    """Reconstruct the rows of `reactions` into the arrays of `contacts`; `side` is 1 for sweeps in -x, -1 in +x."""
+def _of_block(reactions: Reactions, method: str, rod: Rod, zeta: Array | None, tolerance: Array, side: int) -> Contacts:
+    """`reconstruct` of so many rows as the processor's cache holds; `side` is 1 for sweeps in -x, -1 in +x."""
     x0, f0x, f0y, m0z = reactions
     # a sweep in +x is the mirror image of a sweep in -x
     if side < 0:
@@ -288,15 +263,19 @@ def _fill(
     else:
         slope[tip] = np.nan
 
-    contacts.point[:, 0], contacts.point[:, 1] = x, solved.y
-    contacts.s1[:], contacts.force[:], contacts.friction_angle_bound[:] = solved.s1, solved.force, beta
-    np.multiply(solved.alpha, side, out=contacts.force_angle)
-    np.multiply(slope, side, out=contacts.slope)
-    contacts.phase[:] = Phase.TANGENTIAL * tangential.view(np.int8) + Phase.TIP * tip.view(np.int8)
-    contacts.normal_source[:] = NormalSource.TANGENTIAL * tangential.view(np.int8)
+    contacts = Contacts(
+        point=np.stack([x, solved.y], axis=1),
+        s1=solved.s1,
+        phase=(Phase.TANGENTIAL * tangential + Phase.TIP * tip).astype(np.int8),
+        status=np.full(len(x), Status.OK, dtype=np.int8),
+        force=solved.force.copy(),
+        force_angle=solved.alpha * side,
+        friction_angle_bound=beta,
+        slope=slope * side,
+        normal_source=(NormalSource.TANGENTIAL * tangential).astype(np.int8),
+    )
     if zeta is not None:
         contacts.normal_source[tip] = NormalSource.FRICTION
-    contacts.status[:] = Status.OK
     if not valid.all():
         present = (solved.force > 0) & np.isfinite(x0 + solved.force + m0z)
         # where several reasons apply, the last one counts
@@ -312,6 +291,7 @@ def _fill(
             contacts.status[rows & ~valid] = status
         for name in _VALUES:
             getattr(contacts, name)[~valid] = np.nan
+    return contacts
 
 
 DIFFERENCE = 3e-4

@@ -25,7 +25,7 @@ import planar
 from planar.march import solve
 from planar.plots import Explained
 from planar.reconstruction import DIFFERENCE
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod
 
@@ -260,14 +260,15 @@ def errors(
         s1_sd, beta_sd = (np.linalg.norm(row, axis=1) for row in (s1, beta))
         force = sigma_f * np.sqrt(2) / np.linalg.norm(f0, axis=1)
         known = np.isfinite(point).all(axis=(1, 2)) & np.isfinite(tangent)
-        largest = np.full(len(m), np.inf)
-        largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
+    return _where(known, point, s1_sd, beta_sd, tangent, force)
 
-    def certain(values: Array) -> Array:
-        return np.where(known & np.isfinite(values), values, np.inf)
 
+def _where(known: Mask, point: Array, *others: Array) -> SpatialErrors:
+    """Errors where they are known, and infinite elsewhere."""
     point[~known] = np.inf
-    return SpatialErrors(point, largest, *(certain(value) for value in (s1_sd, beta_sd, tangent, force)))
+    largest = np.full(len(known), np.inf)
+    largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
+    return SpatialErrors(point, largest, *(np.where(known & np.isfinite(v), v, np.inf) for v in others))
 
 
 def _errors_by_differences(
@@ -291,11 +292,7 @@ def _errors_by_differences(
         direction, by_force = f0 / size[0][:, None], covariance[:, :3, :3]
         along_force = np.einsum("ni,nij,nj->n", direction, by_force, direction)
         force = np.sqrt(np.maximum(np.trace(by_force, axis1=1, axis2=2) - along_force, 0.0)) / size[0]
-    known = np.isfinite(spread).all(axis=(1, 2))
-    point[~known] = np.inf
-    largest = np.full(len(f0), np.inf)
-    largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
-    return SpatialErrors(point, largest, *(np.where(known, v, np.inf) for v in (s1, beta, tangent, force)))
+    return _where(np.isfinite(spread).all(axis=(1, 2)), point, s1, beta, tangent, force)
 
 
 def _checked(name: str, values: ArrayLike) -> Array:
