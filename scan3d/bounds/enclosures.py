@@ -275,7 +275,7 @@ def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
     # which tells more than the inner body, smaller in all directions
     bodies = ((bounds.inner, bounds.excess + radius),)
     if inner is None:  # the body may be thinner than what the contacts leave open
-        inner = _made_smaller(bounds.inner, radius)
+        inner = shrunk(bounds.inner, radius, least=1e-3)
         excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), excess)
     tighter = None if bounds.tighter is None else _thinner(bounds.tighter, radius)
     reach, gap = bounds.reach - radius, np.full(len(bounds.gap), np.inf)
@@ -603,13 +603,7 @@ def _error_of_hull(body: Any, places: Places) -> float:
 def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
     """The hull of the contacts on the surface; without normals, that of the centre points, made smaller by the radius."""
     known = np.isfinite(cloud.points).all(axis=1)
-    return hull(cloud.points[known]) if known.any() else _made_smaller(centre_hull, cloud.rod_radius)
-
-
-def _made_smaller(body: Any, radius: float) -> Any:
-    """A convex body made smaller by a radius, or to a thousandth of its size where it is thinner."""
-    centre, factor = shrunk_by(body, radius)
-    return hull(centre + max(factor, 1e-3) * (body.vertices.view(np.ndarray) - centre))
+    return hull(cloud.points[known]) if known.any() else shrunk(centre_hull, cloud.rod_radius, least=1e-3)
 
 
 def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:

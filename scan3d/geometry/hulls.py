@@ -443,9 +443,11 @@ def _mesh(points: Array, faces: Index) -> Any:
     return trimesh.Trimesh(points[used], renumbered, process=False)
 
 
-def shrunk(body: Any, distance: float) -> Any:
-    """A convex body scaled about a point of it, so that it lies in the body deeper than `distance`; None if it is too thin."""
+def shrunk(body: Any, distance: float, least: float = 0.0) -> Any:
+    """A convex body scaled about a point of it, so that it lies in the body deeper than `distance`, or by a `least` factor
+    where it is too thin for that; None without one."""
     centre, factor = shrunk_by(body, distance)
+    factor = max(factor, least)
     return hull(centre + factor * (body.vertices.view(np.ndarray) - centre)) if factor > 0 else None
 
 
