@@ -344,7 +344,7 @@ class Killer(threading.Thread):
         self.join()
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_processes_give_the_same_bytes_and_a_worker_that_is_killed_costs_its_run(serial, tmp_path):
     meshes = [*THREE, serial[0].parent / "bad.stl"]
     with workers.Workers(2) as executor, Killer(tmp_path / "cube") as killer:
@@ -378,9 +378,9 @@ def waited_for(condition, seconds=120):
         time.sleep(0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.trust)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number, capsys):
     meshes = [*THREE, serial[0].parent / "bad.stl"]
     arguments = ["batch", *map(str, meshes), "--out", str(tmp_path / "out"), *FEW]

@@ -1,7 +1,11 @@
 """Tapered and curved rods are found by touches of a sphere, which DOP853 integrates from the contact back to the clamp."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+import scipy
+from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.calibration import fit
@@ -9,7 +13,74 @@ from scan3d.calibration.report import read_rig, write_rig
 from scan3d.errors import InputError
 from scan3d.spatial import inverse
 from tests import rigs
-from tests.shaped_rigs import Shaped, recorded
+from tests.rigs import CENTRE, DIAMETER, ROD, Truth, logged
+
+
+@dataclass(frozen=True)
+class Shaped(Truth):
+    """A rod that is tapered and curved, and its rig."""
+
+    tip: float = 1.0
+    curvature: tuple = (0.0, 0.0)
+    """About the clamp's z and x axes, in the inverse of rod lengths."""
+
+
+def shot(rod, s1, force, torsion=1 / 1.3):
+    """Clamps of rods (n,) that touch in the origin with the axes as d1, d2, d3, under forces (n, 3): places (n, 3),
+    axes (n, 3, 3) as columns, and force and moment (n, 3) in these axes."""
+    n, curvature = len(s1), np.array([*rod.curvature, 0.0])
+
+    def rates(part, values):
+        values = values.reshape(n, 15)
+        frame, moment = values[:, 3:12].reshape(n, 3, 3), values[:, 12:]
+        s = s1 * (1 - part)
+        stiffness = (1 + (rod.tip - 1) * s)[:, None] ** 4 * [1.0, 1.0, torsion]
+        bend = np.einsum("nij,nj->ni", frame, np.einsum("nji,nj->ni", frame, moment) / stiffness + curvature)
+        change = np.concatenate(
+            [frame[:, :, 2], np.cross(bend[:, None], frame.swapaxes(1, 2)).swapaxes(1, 2).reshape(n, 9),
+             -np.cross(frame[:, :, 2], force)], axis=1
+        )  # fmt: skip
+        return (-s1[:, None] * change).ravel()
+
+    start = np.tile(np.concatenate([np.zeros(3), np.eye(3).ravel(), np.zeros(3)]), (n, 1))
+    ends = scipy.integrate.solve_ivp(rates, (0, 1), start.ravel(), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    ends = ends.reshape(n, 15)
+    frame = ends[:, 3:12].reshape(n, 3, 3)
+    # the clamp's axes x, y, z are d2, d3, d1
+    axes = frame[:, :, [1, 2, 0]]
+    return ends[:, :3], axes, *(np.einsum("nji,nj->ni", axes, -vector) for vector in (force, ends[:, 12:]))
+
+
+def recorded(rod, seed=0, *, sweeps=30, samples=60, friction=0.2, nominal=ROD):
+    """The recording of a rig with the rod, as it logs without knowing of its faults, and the true contacts on the sphere."""
+    rng, radius = np.random.default_rng(seed), DIAMETER / 2 / rod.length + nominal.diameter_m / 2 / rod.length
+    n, touching = sweeps * samples, np.arange(sweeps * samples) % samples >= samples // 4
+    along = np.clip((np.arange(n) % samples - samples // 4) / (samples - samples // 4), 0, 1)
+    number = np.arange(n) // samples
+
+    def each(low, high):
+        return rng.uniform(low, high, sweeps)[number]
+
+    is_tip = (number % 3 == 0) & (along > 0.5)
+    s1 = np.where(is_tip, 1.0, np.clip(each(0.5, 0.8) + each(0.05, 0.35) * along, 0, 0.999))
+    # forces of the size that bends such a rod by some tenths of a radian
+    strength = along * each(0.4, 1.4) * (1 + (rod.tip - 1) * s1) ** 2 / s1**2
+    about, slip = each(0, 2 * np.pi) + 0.5 * along, each(0, 2 * np.pi)
+    normal = np.stack([np.cos(about), np.sin(about), 0 * about], axis=1)
+    lift = np.where(is_tip, each(0.1, 0.5) * (along - 0.5), 0.0)[:, None]  # at the tip the rod is not tangent
+    normal = np.cos(lift) * normal + np.sin(lift) * [0, 0, 1.0]
+    across = np.cross(normal, [0, 0, 1.0])
+    side = np.cos(slip)[:, None] * across + np.sin(slip)[:, None] * np.cross(normal, across)
+    force = strength[:, None] * (normal + friction * side)
+    place, axes, reaction, moment = shot(rod, s1, force)
+    # all clamps of a sweep are turned alike; the sphere lies below the contact
+    turn = Rotation.random(sweeps, random_state=rng).as_matrix()[number]
+    turn = turn @ axes.swapaxes(1, 2)
+    clamp = np.einsum("nij,nj->ni", turn, place + radius * normal) * rod.length + CENTRE
+    world = turn @ axes
+    unit = rod.stiffness / rod.length**2
+    force, moment = reaction * unit * touching[:, None], moment * unit * rod.length * touching[:, None]
+    return logged(rod, number, clamp, world.swapaxes(1, 2), force, moment, rng, rod=nominal)
 
 
 def found_of(rod, seed=0, **more):

@@ -33,15 +33,6 @@ def test_a_hull_is_closed_and_outward_and_keeps_the_coordinates(scale, shift):
     assert {tuple(p) for p in np.asarray(made.vertices)} == {tuple(p) for p in points[:8]}
 
 
-def test_all_faces_of_a_round_hull_are_outward():
-    points = directions(500) * [1.0, 2.0, 0.1]
-    made = hull(points)
-    assert len(made.vertices) == 500
-    assert len(made.faces) == 2 * 500 - 4
-    outward = np.cross(*(made.triangles[:, i] - made.triangles[:, 0] for i in (1, 2)))
-    assert ((made.triangles_center * outward).sum(axis=1) > 0).all()
-
-
 @pytest.mark.parametrize("shift", [0.0, 7.0])
 @pytest.mark.parametrize("thickness", [0.0, 1e-6, 1e-3])
 def test_points_in_one_plane_span_no_body(thickness, shift):

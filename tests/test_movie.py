@@ -23,7 +23,6 @@ def images(path):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
 def test_growth(make, tmp_path):

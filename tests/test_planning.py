@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shapes import rotation
 
-from scan3d.geometry.sections import slice_frame
 from scan3d.planning.plan import (
     AIMED_SLOPE,
     OPEN_FRACTION,
     base_fractions,
     base_line,
-    clamp_axes,
     further_directions,
-    positions,
 )
-
-directions = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64])
@@ -28,14 +22,6 @@ def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
     assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
     assert np.all(np.diff(shares) > 0)
     assert np.all(np.diff(shares, 2) > 0)
-
-
-@given(directions)
-def test_frames_are_orthonormal_right_handed_with_z_along_the_axis(axis):
-    frame = slice_frame(axis)
-    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-14)
-    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
-    assert frame[2] == pytest.approx(axis / np.linalg.norm(axis), abs=1e-14)
 
 
 def circle(angles):
@@ -77,16 +63,3 @@ def test_the_base_line_keeps_its_distance_from_the_outline(angle, clearance):
     line = base_line(OUTLINE, angle, clearance)
     across = (OUTLINE - line.origin) @ line.axes[1]
     assert across.min() == pytest.approx(clearance, abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_clamp_moves_along_its_x_axis_in_the_plane_of_the_slice(seed):
-    frame, x0, height = rotation(seed), np.array([2.0, 0.5, -3.0]), 12.5
-    line = base_line(OUTLINE, 0.7, 2.0)
-    places, axes = positions(line, x0, height, frame), clamp_axes(line, frame)
-    assert places.shape == axes.shape == (3, 3)
-    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-14)
-    assert np.linalg.det(axes) == pytest.approx(1.0, abs=1e-14)
-    assert axes[2] == pytest.approx(frame[2], abs=1e-15)
-    assert places @ frame[2] == pytest.approx(np.full(3, height), abs=1e-12)
-    assert places - places[1] == pytest.approx((x0 - x0[1])[:, None] * axes[0], abs=1e-12)

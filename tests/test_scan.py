@@ -140,55 +140,6 @@ def test_the_same_contacts_from_other_reactions():
     assert extents[0] == pytest.approx(extents[1], abs=1e-9 * smooth.rod_length)
 
 
-@pytest.mark.slow
-def test_default_settings_on_the_egg():
-    mesh = scan3d.load_mesh(EGG)
-    recording = scan3d.simulate(mesh)
-    cloud = scan3d.reconstruct(recording)
-    assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
-    surface = scan3d.surface(cloud)
-    assert surface.is_watertight
-    result = scan3d.compare(surface, mesh)
-    assert 0 < result.relative <= 1e-3
-
-
-# --- edges and corners ---
-
-
-def corners_of(cloud, recording, vertices, faces):
-    """(n,) number of the corner of its slice's contour that each contact is, or -1."""
-    scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
-    normal = Rotation.from_quat(recording.quaternion[0], scalar_first=True).apply([0.0, 0.0, 1.0])
-    number, rows = np.full(len(cloud), -1), cloud.row
-    for slice_number in np.unique(cloud.slice):
-        here = np.flatnonzero(cloud.slice == slice_number)
-        height = recording.position_m[rows[here[0]]] / scale @ normal
-        ends = outline(vertices, faces, normal, height).reshape(-1, 3)
-        # corners of the polygon: ends where the contour turns, which are those on an edge of the cube
-        away = np.linalg.norm(cloud.points[here][:, None] - ends, axis=2)
-        number[here] = np.where(away.min(axis=1) < EXACT * cloud.rod_length, away.argmin(axis=1), -1)
-    return number
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_rotated_cube_is_scanned_as_exactly(seed):
-    cube = scan3d.load_mesh(CUBE)
-    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
-    vertices, faces = cube.vertices @ turn.T + [30.0, -20.0, 10.0], np.asarray(cube.faces)
-    body = trimesh.Trimesh(vertices, faces, process=False)
-    recording, cloud = places(body, slices=12, friction=(0.0, 0.4))
-    assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
-
-    # on edges of the contour, and at its corners, where the contact stays while the rod turns about it
-    corner = corners_of(cloud, recording, vertices, faces)
-    assert 0 < (corner >= 0).sum() < len(cloud)
-    stays = (np.diff(cloud.sweep) == 0) & (
-        np.linalg.norm(np.diff(cloud.points, axis=0), axis=1) < EXACT * cloud.rod_length
-    )
-    assert stays.any()
-    assert (corner[:-1][stays] >= 0).all()
-
-
 # --- files ---
 
 
@@ -304,37 +255,6 @@ def test_slicing_along_an_axis_equals_turning_the_body(axis):
 
 
 # --- noise, sweeps, rods ---
-
-
-def test_noise_gives_errors_of_its_size():
-    mesh = scan3d.load_mesh(EGG)
-    (exact, truth), (noisy, cloud) = (places(mesh, slices=8, friction=0.3, noise=noise) for noise in (0.0, 0.005))
-    # of an observable unit
-    assert np.std((noisy.force_N - exact.force_N) / exact.rod.force_unit_N) == pytest.approx(0.005, rel=0.05)
-    assert np.std((noisy.moment_Nm - exact.moment_Nm) / exact.rod.moment_unit_Nm) == pytest.approx(0.005, rel=0.05)
-    assert noisy.noise_force_N == pytest.approx(0.005 * exact.rod.force_unit_N)
-    assert noisy.noise_moment_Nm == pytest.approx(0.005 * exact.rod.moment_unit_Nm)
-
-    errors = contour_errors(cloud, noisy, *as_in_the_file(EGG))
-    # 0.1 to 0.2 % of the rod's length across the contour
-    assert 0.0005 < np.sqrt(np.mean(errors**2)) < 0.004
-    assert np.median(errors) < 0.002
-    rows = cloud.row, truth.row
-    both = np.intersect1d(*rows)
-    assert len(both) + cloud.light > 0.97 * len(truth)  # the weakest forces are lost
-    assert 0 < cloud.light < 0.12 * len(truth)
-    noisy_rows, exact_rows = (np.searchsorted(row, both) for row in rows)
-    tangential = (cloud.phase[noisy_rows] == TANGENTIAL) & (truth.phase[exact_rows] == TANGENTIAL)
-    # 0.2° to 0.4° in the friction angle
-    angle = np.degrees(np.arctan(cloud.friction[noisy_rows][tangential])) - np.degrees(np.arctan(0.3))
-    assert 0.1 < np.std(angle) < 0.8
-    assert abs(np.median(angle)) < 0.1
-
-    # near the tip, a tip contact is not taken for a tangential one, and its error is no larger than those of other contacts
-    tip = truth.phase[exact_rows] == TIP
-    assert (cloud.phase[noisy_rows][tip] == TANGENTIAL).mean() < 0.01
-    assert np.sqrt(np.mean(errors[noisy_rows][tip] ** 2)) < 0.004
-    assert errors.max() < 0.05
 
 
 def test_every_sweep_draws_different_friction(watched_sweeps):

@@ -68,17 +68,6 @@ def test_slices_of_a_sphere_against_half_planes(scale):
         assert len(polygon) == len(slice_polygons(unit, frame, [height])[0])
 
 
-def test_slices_against_trimesh():
-    hull = trimesh.convex.convex_hull(np.random.default_rng(2).normal(size=(200, 3)))
-    frame = rotation(9)
-    for height in (-1.2, -0.3, 0.0, 0.8):
-        (polygon,) = slice_polygons(hull, frame, [height])
-        lines = trimesh.intersections.mesh_plane(hull, frame[2], height * frame[2]).reshape(-1, 3) @ frame.T
-        gap = np.linalg.norm(lines[:, None, :2] - polygon, axis=2)
-        assert gap.min(axis=1).max() < 1e-13
-        assert gap.min(axis=0).max() < 1e-13
-
-
 def test_slices_through_vertices_and_faces():
     cube = box(2, 2, 2).subdivide().subdivide()  # vertices at the middle, coplanar faces everywhere
     square = {(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)}

@@ -1,6 +1,7 @@
-"""The certificate of contacts anywhere: never below the true distance, whatever the body, the rod and the frame."""
+"""The certificate of contacts anywhere: never below the true distance, and what is missing where there is none."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from spatial_bodies import (
 from spatial_scans import recorded
 
 import scan3d
-from scan3d.bounds import enclosure
+from scan3d.bounds import enclosure, missing
 
 
 @pytest.mark.parametrize(
@@ -92,3 +93,29 @@ def test_contacts_deeper_than_noise_explains_widen_the_bounds():
     wrong = dataclasses.replace(right, rod=dataclasses.replace(right.rod, diameter_m=thin, tip_diameter_m=0.98 * thin))
     assert scan3d.reconstruct(right).pose_error == 0
     assert scan3d.reconstruct(wrong).pose_error > 0.02
+
+
+BALL = Ellipsoid([0.5, 0.4, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("seen", "words"),
+    [
+        (lambda _, n: n[:, 2] > 0.05, "below z = "),
+        (lambda _, n: n[:, 2] < -0.05, "above z = "),
+        (lambda _, n: n[:, 0] > 0.05, "towards (-1.00, "),
+    ],
+)
+def test_the_open_side_is_named(seen, words):
+    cloud = spatial_cloud(BALL, 600, 1, seen=seen)
+    assert np.isinf(enclosure(cloud).bound)
+    assert words in missing(cloud)
+    assert ("table" in missing(cloud)) == ("below" in words)
+
+
+def test_noise_is_named_where_contacts_face_all_sides():
+    cloud = spatial_cloud(BALL, 600, 1)
+    sd = np.full(len(cloud), 0.05)
+    noisy = replace(cloud, place_sd=sd, tangent_sd=sd, covariance=sd[:, None, None] ** 2 * np.eye(3))
+    assert np.isinf(enclosure(noisy).bound)
+    assert "less noise would bound it" in missing(noisy)
