@@ -4,33 +4,22 @@ A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geo
 contacts in slices use one end of them on either side of their slice, contacts anywhere the places where three of them meet.
 What noise, digits and the rig's calibration leave uncertain moves the planes outwards.
 
-Where supporting planes of a convex body meet whose normals lie in known arcs (S28), and the best choice of planes.
-
-Let K be a convex body, and let n_i be normals with ``h_K(n_i) <= <n_i, p_i>``, each of them unknown in an arc about ν_i.  Let
-the ν_i be triangulated as points of the sphere, and let ``det(n_i, n_j, n_k)`` be positive in every triangle for all 8 choices
-of ends of its arcs.  A determinant is ``A cos θ + B sin θ`` in each angle, and so it is positive within the arcs too: the true
-normals cover the sphere with the same triangles.  In the triangle of a direction u, ``h_K(u) <= <u, a>`` with the apex a, where
-the three planes meet.  As one normal turns within its arc, the apex moves along the line in which the other two planes meet, so
-that every convex function of the apex is largest at one of the 8 choices of ends.
-
-The triangles are those of the polar dual of the polytope that the planes with the normals ν_i enclose.  Planes far away close
-it where no normals are known; apexes on them are infinite.
+Three planes meet in an apex (S28; the manual has the proof, in `docs/model.md`).  Let the middles ν_i of the arcs be
+triangulated as points of the sphere, such that ``det(n_i, n_j, n_k)`` is positive in every triangle for all 8 choices of ends
+of its arcs.  Then ``h_K(u) <= <u, a>`` with an apex a of the triangle of the direction u, and every convex function of the
+apex is largest at one of the 8 choices.  The triangles are those of the polar dual of the polytope that the planes with the
+normals ν_i enclose.  Planes far away close it where no normals are known; apexes on them are infinite.
 
 Every choice of planes gives a valid bound.  A coarse one is refined where the apexes lie farthest outside: the plane is added
 that cuts off most of the apex, whichever normals of their arcs the planes have, and a plane with a wide arc is removed where no
 other plane cuts the apex off.  The best choice met is taken.
 
-Where errors are not negligible, a contact's supporting plane has one of the normals of its arc (S27).  The body K does not
-reach into the wedge of all points that lie beyond the plane whichever normal that is: of the points with
-``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of the arc, with the error e of the place and
-ε of the tangent t.  For the normals between the ends this follows, since e is a norm, and so does it for the true normal when
-it is turned until it is perpendicular to the measured t.
-
-A wedge is a convex set, and if it contains x and not the centre o, it contains all points beyond x, as seen from o.  Where it
-contains the corners of a triangle, K therefore does not reach beyond the triangle in the directions of its points from o: there
-it is contained in the tetrahedron of o and the triangle.  Triangles over all directions give the outer body; in each of them
-that contact is taken which leaves least.  The farthest of them are divided until the bound is nearly that of the union of all
-wedges, which is all that the contacts one by one say of K.
+Where errors are not negligible, each contact alone leaves out a wedge, of the points x with
+``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of its arc, with the error e of the place and ε
+of the tangent t.  Where a wedge contains the corners of a triangle as seen from a centre, the body lies behind the triangle
+there.  Triangles over all directions give the outer body; in each of them that contact is taken which leaves least.  The
+farthest of them are divided until the bound is nearly that of the union of all wedges, which is all that the contacts one by
+one say of K.
 """
 
 from __future__ import annotations

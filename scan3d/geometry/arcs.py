@@ -1,12 +1,11 @@
 """Supporting planes of a convex body at points of its surface where a line touches it (S27).
 
-The line ``p + s t`` through a point p of the surface is free of the body's interior.  Some supporting plane at p contains the
-line, so that its normal n is perpendicular to t, and ``<n, q - p> <= 0`` for every point q of the body.  Seen along t, every
-point q leaves a half turn of directions to n, and all of them together leave an arc::
+The line ``p + s t`` through a point p of the surface is free of the body's interior.  Some supporting plane at p contains it:
+seen along t, every point q of the body leaves its normal a half turn of directions, and all of them together leave an arc::
 
     n = cos θ ν + sin θ τ,   |θ| <= δ,   ν, τ perpendicular to t.
 
-Neither a measured normal nor a law of friction enters.  Any points of the body may be chosen for q, since fewer points make
+Any points of the body may be chosen for q, since fewer points make
 wider arcs only.  Where places have errors of at most e and t one of at most ε, the normal that is turned until it is
 perpendicular to the measured t satisfies ``<n, q - p> <= e_p + e_q + ε |q - p|``.  Errors that differ between directions, of
 at most ``√(nᵀSn)``, are a norm: for a normal that is turned by ψ from u towards v they are at most the sum of ``√(uᵀSu) cos ψ``
