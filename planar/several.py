@@ -260,14 +260,9 @@ class Settled(NamedTuple):
 
 
 def _stiffness() -> Array:
-    length = 1 / LINKS
-    matrix = np.zeros((LINKS, LINKS))
-    matrix[0, 0] = 2 / length  # half a link from the clamp to the first one's middle
-    k = np.arange(1, LINKS)
-    matrix[k, k] += 1 / length
-    matrix[k - 1, k - 1] += 1 / length
-    matrix[k, k - 1] = matrix[k - 1, k] = -1 / length
-    return matrix
+    # from the clamp to the first link's middle it is half a link, and from there on one each
+    diagonal = np.diag([3.0, *np.full(LINKS - 2, 2.0), 1.0])
+    return LINKS * (diagonal - np.eye(LINKS, k=1) - np.eye(LINKS, k=-1))
 
 
 _COMPLIANCE = np.linalg.inv(_stiffness())

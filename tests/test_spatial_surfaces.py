@@ -7,7 +7,7 @@ import pytest
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_difference, random_polyhedron, spatial_cloud
 
 from scan3d.geometry.support import fit_support
-from scan3d.surfaces import between, certificate, enclosure, surface
+from scan3d.surfaces import certificate, enclosure, estimates, surface
 
 SMOOTH = Ellipsoid(np.array([1.0, 0.7, 0.5]))
 
@@ -52,8 +52,8 @@ def test_contacts_that_the_rod_displaces_hide_no_face():
     sd[rows] = 0.1
     unsure = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=sd)
     well_placed = np.delete(np.arange(len(cloud)), rows)
-    assert largest_difference(between.with_edges(unsure), body) < 1e-6 * body.size
-    assert largest_difference(between.with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
+    assert largest_difference(estimates.with_edges(unsure), body) < 1e-6 * body.size
+    assert largest_difference(estimates.with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
 
 
 def test_long_edges_of_a_capsule_are_straight():
@@ -66,7 +66,7 @@ def test_long_edges_of_a_capsule_are_straight():
     points = normals + height[:, None] * np.array([0, 0, 1])
     cloud = spatial_cloud(SMOOTH, 4000, 3)
     capsule = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=None)
-    mesh = between.curved(capsule)
+    mesh = estimates.curved(capsule)
     vertices = np.asarray(mesh.vertices)
     axis = np.clip(vertices[:, 2:], -2, 2) * np.array([0, 0, 1])
     assert np.linalg.norm(vertices - axis, axis=1).max() < 1.002
