@@ -39,18 +39,18 @@ if TYPE_CHECKING:
     from scan3d.planning import Plan as Plan
     from scan3d.recording import Recording as Recording
     from scan3d.results import Result as Result
+    from scan3d.results import calibrate as calibrate
+    from scan3d.results import compare as compare
+    from scan3d.results import load as load
     from scan3d.results import open as open
+    from scan3d.results import reconstruct as reconstruct
+    from scan3d.results import save as save
     from scan3d.results import scan as scan
+    from scan3d.results import simulate as simulate
+    from scan3d.results import surface as surface
     from scan3d.rods import Gravity as Gravity
     from scan3d.rods import Rod as Rod
     from scan3d.session import Session as Session
-    from scan3d.steps import calibrate as calibrate
-    from scan3d.steps import compare as compare
-    from scan3d.steps import load as load
-    from scan3d.steps import reconstruct as reconstruct
-    from scan3d.steps import save as save
-    from scan3d.steps import simulate as simulate
-    from scan3d.steps import surface as surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _NAMES = {
@@ -66,14 +66,14 @@ _NAMES = {
     "pictures.notebook": "plot",
     "planning.plan": "Plan",
     "recording": "Recording",
-    "results": "Result open scan",
+    "results": "Result calibrate compare load open reconstruct save scan simulate surface",
     "rods": "Gravity Rod",
     "session": "Session",
-    "steps": "calibrate compare load reconstruct save simulate surface",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = sorted(_HOME)
+# `from scan3d import *` leaves Python's own `open` as it is
+__all__ = sorted(_HOME.keys() - {"open"})
 
 
 def __getattr__(name: str) -> Any:
@@ -90,10 +90,10 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted([*_HOME, "__version__"])
 
 
 _register(
     drawn=lambda: import_module("scan3d.pictures.notebook"),
-    saved=lambda: import_module("scan3d.steps"),
+    saved=lambda: import_module("scan3d.results"),
 )

@@ -35,8 +35,6 @@ from scan3d.workers import Workers
 
 Row = dict[str, Any]
 """A row of the summary, by column; what is not known is None."""
-Grid = list[dict[str, Any]]
-"""The settings that vary in each combination, by name."""
 DONE, FAILED = "done", "failed"
 COLUMNS = (
     *("run", "mesh", "mesh_sha256", *(field.name for field in dataclasses.fields(Settings)), "status", "error"),
@@ -227,9 +225,7 @@ def _runs(
         combined.setdefault(settings, varied)
     bodies, hashes = body_names(paths), [_sha256(path) for path in paths]
     pairs = [(k, settings) for k in range(len(paths)) for settings in combined]
-    labels = {
-        settings: [f"{name}={_text(value)}" for name, value in varied.items()] for settings, varied in combined.items()
-    }
+    labels = {settings: [f"{name}={_text(value)}" for name, value in of.items()] for settings, of in combined.items()}
     names = _distinct([_allowed("_".join([bodies[k], *labels[settings]])) for k, settings in pairs])
     return [
         Run(name, str(paths[k]), str(paths[k].absolute()), hashes[k], settings, str(out.absolute() / name), overwrite)
@@ -366,8 +362,8 @@ def _meant(name: str) -> list[Path]:
     return meshes
 
 
-def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
-    """The combinations of lists of values by setting.
+def combinations(data: Mapping[str, Any], source: str = "the grid") -> list[dict[str, Any]]:
+    """The settings that vary in each combination of lists of values by setting.
 
     Of ``{"friction": [0.0, 0.3], "noise": [0.0, 1e-4]}`` they are four; a value that is no list is that of all combinations.  A
     vector for ``axis`` or a pair for ``friction`` is a list in the list of values.

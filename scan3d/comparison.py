@@ -41,9 +41,7 @@ class Comparison(Described):
     rms: float  #: likewise
     p95: float  #: 95 % of the area, weighted likewise, is no farther than this
     chamfer: float  #: sum of the two directions' means
-    f_score: (
-        float  #: 0..1, harmonic mean of the fractions of either area within 1 % of the diagonal of the other surface
-    )
+    f_score: float  #: 0..1, harmonic mean of the fractions of either area within 1 % of the diagonal of the other
     normal_median_deg: float  #: angle between the faces' normals at nearest points, over the area as above
     normal_p95_deg: float
     volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
@@ -57,9 +55,8 @@ class Comparison(Described):
         def both(value: float) -> str:
             return f"{size(value)} ({share(value / self.diagonal)})"
 
-        certainty = (
-            "exact" if self.exact else f"certified between {size(self.lower, 5)} and {size(self.upper, 5, up=True)}"
-        )
+        between = f"certified between {size(self.lower, 5)} and {size(self.upper, 5, up=True)}"
+        certainty = "exact" if self.exact else between
         averages = f"{both(self.mean)}, RMS {both(self.rms)}, 95 % closer than {both(self.p95)}"
         place = point(self.worst_point, unit) if unit else "({:.4g}, {:.4g}, {:.4g})".format(*(self.worst_point + 0.0))
         error = self.volume_error
@@ -75,9 +72,8 @@ class Comparison(Described):
         ]
 
     def __repr__(self) -> str:
-        return described(
-            "Comparison (lengths in units of the meshes; in brackets, of the mesh's diagonal)", self.summary()
-        )
+        title = "Comparison (lengths in units of the meshes; in brackets, of the mesh's diagonal)"
+        return described(title, self.summary())
 
 
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:

@@ -28,7 +28,7 @@ from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
 from scan3d.geometry.hulls import HULL_OF_MESH
-from scan3d.pictures import page, rendering
+from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.parts import Scene, of_cloud
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
@@ -42,8 +42,9 @@ from scan3d.surfaces.carved import carved
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 
-PICTURES = ("cloud", "surface")
-"""The views of the pictures in a result's folder."""
+# The views of the pictures in a result's folder.
+_VIEWS = ("cloud", "surface")
+_JOBS = [(".png", {"view": name}) for name in _VIEWS]
 Step = Callable[[str], None]
 """Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
 Notify = Callable[[str], None]
@@ -265,20 +266,11 @@ def _compared(analysis: Analysis, truth: Any) -> Analysis:
 
 
 def write(
-    analysis: Analysis,
-    folder: str | Path,
-    *,
-    settings: Mapping[str, Any],
-    overwrite: bool = False,
+    analysis: Analysis, folder: str | Path, *, settings: Mapping[str, Any], overwrite: bool = False
 ) -> dict[str, Any]:
-    """Write an analysis into a folder: recording, cloud, surface, pictures, page and report, which is returned.
+    """Write an analysis into a folder: recording, cloud, surface, pictures, page, and the report, which is returned.
 
-    settings
-        those of the run, which the report repeats.
-    overwrite
-        whether files that the program did not write may be replaced.
-
-    Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
+    The report repeats the settings; `overwrite` and what is raised are those of `files.whole.replacing`.
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
         drawing.begin(to_scene(analysis), _JOBS)
@@ -314,20 +306,17 @@ def _put_tables(analysis: Analysis, result: Replacement) -> None:
             result.put(f"{name}.ply", ply(surface_table(body, None), body.faces, comments=comments))
 
 
-_JOBS = [(".png", {"view": name}) for name in PICTURES]
-
-
 def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: Notify) -> None:
     result.put("view.html", page.page(scene))
     try:
         pictures = drawing.finish()
-    except rendering.NoRendererError as error:
+    except canvas.NoRendererError as error:
         notify(str(error))
         return
     except DrawingError as error:
         notify(f"no pictures: {error}; all other files are written")
         return
-    for name, data in zip(PICTURES, pictures, strict=True):
+    for name, data in zip(_VIEWS, pictures, strict=True):
         result.put(f"{name}.png", data)
 
 

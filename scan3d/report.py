@@ -97,7 +97,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             **_thickness(cloud),
         },
         "counts": _counts(analysis),
-        "contact_error": _contact_error(analysis),
+        "contact_error": _contact_error(analysis.contact_error, cloud),
         "friction": _friction(cloud, settings.get("friction")),
         "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
@@ -207,8 +207,7 @@ def _thickness(cloud: Cloud) -> dict[str, Any]:
     }
 
 
-def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
-    errors, cloud = analysis.contact_error, analysis.cloud
+def _contact_error(errors: Array | None, cloud: Cloud) -> dict[str, Any] | None:
     if errors is None:
         return None
     largest, rms = float(errors.max()), float(np.sqrt(np.mean(errors**2)))
@@ -450,7 +449,11 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     if data["warnings"]:
         rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
     elif "contours" in certified:
-        rows.append(("certified", f"{_contours(certified)}; between them nothing, because the body is not convex"))
+        bound, contours = certified["contours"]["bound"], "nothing"
+        if bound is not None and np.isfinite(bound):
+            contours = f"outer contours within {length(bound, certified['unit'], up=True)}"
+        between = "between them nothing, because the body is not convex"
+        rows.append(("certified", f"{contours} in the planes of the slices; {between}"))
         rows += _premise_rows(certified)
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = length(certified["bound"], certified["unit"], up=True)
@@ -498,13 +501,6 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
             where = f"{left} unknown, in {len(unknown)} patches, the largest {wide} {unit} wide at ({', '.join(place)})"
         rows.append(("surface known", f"{shares}, {where}"))
     return rows
-
-
-def _contours(certified: Mapping[str, Any]) -> str:
-    bound = certified["contours"]["bound"]
-    if bound is None or not np.isfinite(bound):
-        return "nothing in the planes of the slices"
-    return f"outer contours within {length(bound, certified['unit'], up=True)} in the planes of the slices"
 
 
 def _premise_rows(certified: Mapping[str, Any]) -> Rows:

@@ -1,6 +1,8 @@
-"""The results of a scan: `Result` is what was just computed, or what a folder holds.
+"""A scan and its results as `scan3d` offers them: all steps at once, or one by one, of meshes and recordings or their files.
 
-Folders, clouds, surfaces and files of other programs are read back as scenes, to be shown and compared.
+`Result` is what was just computed, or what a folder holds.  Recordings, clouds and surfaces are saved in the formats of the
+commands, read back as they are or as scenes, to be shown and compared, and handed to other libraries, of which pandas and
+open3d are imported only by the functions that need them.
 """
 
 from __future__ import annotations
@@ -8,44 +10,274 @@ from __future__ import annotations
 import dataclasses
 import io
 import os
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, Unpack
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from trimesh.exchange.load import mesh_loaders
 
-from scan3d import pipeline
+import planar
+from planar.plots import to_frame, words
+from scan3d import comparison, pipeline
 from scan3d.bounds import Certificate
-from scan3d.choices import Color, View
-from scan3d.cloud import Cloud
+from scan3d.calibration.report import Calibration
+from scan3d.calibration.report import calibrate as calibrate_rig
+from scan3d.choices import Color, Method, Model, Tare, View, one_of
+from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
-from scan3d.errors import InputError
+from scan3d.errors import InputError, import_open3d
 from scan3d.files import whole
-from scan3d.files.meshes import FORMATS, judge_mesh, load_mesh, read_mesh
-from scan3d.files.recordings import read_recording
-from scan3d.files.shapes import NORMAL, POINT, read_ply, table
+from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
+from scan3d.files.recordings import read_recording, sidecar, write_recording
+from scan3d.files.shapes import (
+    NORMAL,
+    POINT,
+    Shape,
+    cloud_table,
+    read_ply,
+    read_shape,
+    surface_table,
+    table,
+    to_polydata,
+    write_shape,
+)
+from scan3d.files.tables import PARQUET
 from scan3d.files.text import check_readable
-from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, locate, replacing, sha256
+from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, check_pair, locate, replacing, sha256
+from scan3d.geometry.distance import distances
 from scan3d.pictures import notebook
 from scan3d.pictures.figures import sheet
 from scan3d.pictures.parts import Scene, columns
-from scan3d.reconstruction import reconstruct
+from scan3d.planning import Plan
+from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, summary
 from scan3d.settings import Given, shows_settings
 from scan3d.settings import settings as chosen_settings
 from scan3d.shown import Rows, Shown, described
 from scan3d.simulation.scan import Progress
-from scan3d.units import UNITS_M
+from scan3d.simulation.scan import simulate as simulate_scan
+from scan3d.surfaces import choice
+from scan3d.units import UNITS_M, Unit, check_unit, unit_of, unit_remark
 
 if TYPE_CHECKING:
+    import pandas
     from PIL.Image import Image
+
+    from scan3d.surfaces import Enclosure
+
+_Path = str | os.PathLike[str]
+_Step = TypeVar("_Step", bound=Callable[..., Any])
+
+
+def _recording(given: Recording | _Path) -> Recording:
+    return read_recording(Path(given)) if isinstance(given, (str, os.PathLike)) else given
+
+
+def _described_by(inner: Callable[..., Any], further: str) -> Callable[[_Step], _Step]:
+    """Gives a step the description of the function that does its work, and a further sentence."""
+
+    def describe(step: _Step) -> _Step:
+        step.__doc__ = f"{inner.__doc__}\n    {further}\n"
+        return step
+
+    return describe
+
+
+@_described_by(simulate_scan, "The mesh may be given as the path of its file, which is read by `scan3d.load_mesh`.")
+def simulate(mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
+    if isinstance(mesh, (str, os.PathLike)):
+        mesh = load_mesh(mesh, unit=(plan or Plan()).unit)
+    return simulate_scan(mesh, plan, progress)
+
+
+@_described_by(reconstruct_contacts, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
+def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
+    return reconstruct_contacts(_recording(recording), method, model)
+
+
+@_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")
+def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None = None) -> trimesh.Trimesh:
+    mesh: trimesh.Trimesh = choice.surface(cloud, method, bounds=bounds)
+    mesh.units = cloud.unit
+    return mesh
+
+
+@_described_by(
+    comparison.compare,
+    "Either may be given as the path of a mesh file, whose triangles are taken as they are.  A warning says so if the "
+    "sizes\n    differ by a factor between units, such as 10, 25.4 or 1000.",
+)
+def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
+    paths = [Path(given) for given in (surface, mesh) if isinstance(given, (str, os.PathLike))]
+    stated = [getattr(given, "units", None) for given in (surface, mesh)]
+    known = [unit for unit in stated if unit in UNITS_M]
+    unit = known[0] if known else common_unit(*paths)
+    first, second = (
+        read_mesh(given, unit) if isinstance(given, (str, os.PathLike)) else given for given in (surface, mesh)
+    )
+    compared = comparison.compare(first, second)
+    if remark := unit_remark(first.extents, second.extents):
+        warnings.warn(remark, stacklevel=2)
+    return compared
+
+
+@_described_by(calibrate_rig, "The recording may be given as the path of its file.")
+def calibrate(
+    recording: Recording | _Path,
+    reference: float | Literal["plane"] | None = None,
+    *,
+    sphere: float | None = None,
+    tare: Tare = "auto",
+    pose_noise_m: float | None = None,
+) -> Calibration:
+    return calibrate_rig(_recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m)
+
+
+_Thing: TypeAlias = "Cloud | Shape | trimesh.Trimesh"
+
+
+def save(
+    what: Recording | _Thing,
+    path: _Path,
+    *,
+    truth: trimesh.Trimesh | _Path | None = None,
+    unit: Unit | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write a recording, a cloud or a surface to a file, whose ending determines the format.
+
+    what
+        a recording (``.csv`` or ``.parquet``, with a ``.toml`` beside it), a cloud (``.ply``, ``.pcd``, ``.vtp``, ``.xyz``,
+        ``.xyzn``, ``.csv`` or ``.glb``) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or
+        ``.vtp``).
+    truth
+        the true body, or the path of its mesh: the column ``quality`` is then the distance of each point from it.
+    unit
+        of a surface; by default that which it states (`Trimesh.units`), or mm.
+    overwrite
+        whether a file may be replaced that can't be recognised as written by scan3d.
+
+    Raises InputError for other things and endings, for normals that a format needs and are not known, and if the file can't be
+    written or must not be replaced.
+    """
+    if isinstance(what, Recording):
+        check_pair(Path(path), sidecar(Path(path)), {}, overwrite, "path", str(what.source.get("kind", "")))
+        write_recording(what, Path(path), overwrite=True)  # checked above
+    else:
+        write_shape(to_shape(what, truth, unit), Path(path), overwrite=overwrite, option="path")
+
+
+def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimesh.Trimesh:
+    """What a file holds: a recording, a cloud, or a surface or another mesh.
+
+    path
+        of a recording, of a cloud or a surface in a ``.ply`` of `scan3d.save`, or of any mesh file.
+    unit
+        of a file that does not state its unit; lengths stay as they are in the file.
+
+    A recording is read as by `scan3d.read_recording`, with the ``.toml`` beside it.  A mesh is read as it is, convex or not;
+    its unit, where it is known, is `Trimesh.units`, and the columns of a surface are its `vertex_attributes`.
+    Raises InputError for files that can't be read, and for another unit than the file states.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    check_unit(unit)
+    if not path.is_file():
+        raise InputError(
+            f"there is no file {path}; give a recording, a cloud, a surface or a mesh, and a folder to scan3d.open"
+        )
+    if ending in (".csv", PARQUET):
+        return read_recording(path)
+    if ending[1:] not in FORMATS:
+        known = (".csv", PARQUET, *(f".{name}" for name in FORMATS))
+        raise InputError(f"can't load {path.name}: expected a file ending in {one_of(known)}")
+    stated = stated_unit(path)
+    if unit is not None and stated not in (None, unit):
+        raise InputError(f"{path.name} is in {stated}, as it states itself, and not in {unit}; leave the unit out")
+    if ending != ".ply" or stated is None:
+        mesh = read_mesh(path, stated)
+        if stated or unit:
+            mesh.units = stated or unit
+        return mesh
+    shape = read_shape(path)
+    if shape.faces is None:
+        return shape
+    mesh = trimesh.Trimesh(shape.points, shape.faces, vertex_normals=shape.normals, process=False)
+    mesh.units = shape.unit
+    mesh.vertex_attributes.update(shape.columns)
+    return mesh
+
+
+def to_shape(what: _Thing, truth: trimesh.Trimesh | _Path | None = None, unit: str | None = None) -> Shape:
+    """The table of a cloud or a surface, as `save` writes it, with the distances from the true body as ``quality``."""
+    if isinstance(what, Shape):
+        shape = what
+    elif isinstance(what, Cloud):
+        shape = Shape(cloud_table(what), None, what.unit)
+    elif isinstance(what, trimesh.Trimesh):
+        shape = _of_mesh(what, unit)
+    else:
+        raise InputError(
+            f"only a recording, a cloud or a surface (trimesh.Trimesh) can be saved, got a {type(what).__name__}"
+        )
+    if truth is None:
+        return shape
+    body = read_mesh(truth, shape.unit) if isinstance(truth, (str, os.PathLike)) else truth
+    columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    return replace(shape, rows=table(columns | {"quality": distances(shape.points, body)}))
+
+
+def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
+    stated = mesh.units
+    if unit is None and stated is not None and stated not in UNITS_M:
+        raise InputError(f"the surface is in {stated!r}; give its unit as one of {', '.join(UNITS_M)}")
+    check_unit(unit)
+    rows = surface_table(mesh, mesh.vertex_attributes.get("bound"))
+    return Shape(rows, np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
+
+
+def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:
+    """A table with a row for each contact, or each vertex of a surface, and those columns of `save` that are not empty.
+
+    Phases and the sources of normals are words.  Raises InputError without pandas.
+    """
+    shape = to_shape(what, truth)
+    columns: dict[str, Any] = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    for name, kind in (("phase", planar.Phase), ("normal_source", NormalSource)):
+        if name in columns:
+            columns[name] = words(columns[name], kind)
+    try:
+        return to_frame(columns)
+    except ImportError as error:
+        raise InputError(str(error)) from None
+
+
+def to_pyvista(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> Any:
+    """A `pyvista.PolyData` with the normals (``Normals``) and every other column of `save` as point data."""
+    return to_polydata(to_shape(what, truth))
+
+
+def to_open3d(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> Any:
+    """An `open3d.t.geometry.PointCloud`, or `TriangleMesh` of a surface, with ``normals`` and every other column of `save`."""
+    open3d = import_open3d("to_open3d needs")
+    shape = to_shape(what, truth)
+    geometry, tensor = open3d.t.geometry, open3d.core.Tensor
+    target = geometry.PointCloud() if shape.faces is None else geometry.TriangleMesh()
+    points = target.point if shape.faces is None else target.vertex
+    points["positions"], points["normals"] = tensor(shape.points), tensor(shape.normals.astype(np.float64))
+    for name, column in shape.columns.items():
+        points[name] = tensor(column[:, None])
+    if shape.faces is not None:
+        target.triangle["indices"] = tensor(shape.faces)
+    return target
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -59,14 +291,17 @@ class Result(Shown):
     folder: Path | None = None
     """Where the results were read; None for what was computed."""
 
+    def __post_init__(self) -> None:
+        if self.analysis is not None:  # what was computed is not read
+            names = ("recording", "cloud", "surface", "certificate", "comparison")
+            self.__dict__.update({name: getattr(self.analysis, name) for name in names})
+
     @cached_property
     def recording(self) -> Recording:
         """The log of poses and wrenches.
 
         Raises InputError if the folder has none, or one of another run.
         """
-        if self.analysis is not None:
-            return self.analysis.recording
         path = self._place / RECORDING[0]
         if not locate(path).exists():
             raise InputError(
@@ -82,9 +317,7 @@ class Result(Shown):
 
         Raises InputError as `recording`, and if they are not those of ``cloud.ply``, which another version has written.
         """
-        if self.analysis is not None:
-            return self.analysis.cloud
-        cloud, rows = reconstruct(self.recording, model=self.report.get("model")), self._files.contacts
+        cloud, rows = reconstruct_contacts(self.recording, model=self.report.get("model")), self._files.contacts
         known = None if rows is None else columns(rows, "x", "y", "z")
         if known is not None:
             # rounding in another version of a library leaves less
@@ -100,8 +333,6 @@ class Result(Shown):
     @cached_property
     def surface(self) -> trimesh.Trimesh:
         """The closed surface, with its method in `metadata`.  Raises InputError if the folder has none."""
-        if self.analysis is not None:
-            return self.analysis.surface
         mesh = self._files.surface
         if mesh is None:
             raise InputError(f"{self.folder} has no surface.ply; run the scan again")
@@ -115,8 +346,6 @@ class Result(Shown):
     @cached_property
     def certificate(self) -> Certificate:
         """How far the surface can be from the body, from touch alone; local bounds of a folder are rounded to 24 bits."""
-        if self.analysis is not None:
-            return self.analysis.certificate
         bound, local = (self.report.get("certificate") or {}).get("bound"), self._files.bound
         unknown = np.full(len(self.surface.vertices), np.inf)
         scanned = (self.report.get("mesh") or {}).get("scanned", "mesh")
@@ -132,8 +361,6 @@ class Result(Shown):
 
         Raises InputError if an earlier version has written the report, which does not hold them.
         """
-        if self.analysis is not None:
-            return self.analysis.comparison
         if self.report.get("mesh") is None:
             return None
         known = self.report.get("comparison")
@@ -153,8 +380,7 @@ class Result(Shown):
         file that is to be copied is missing or was changed.
         """
         if self.analysis is not None:
-            settings = self.report["settings"]
-            pipeline.write(self.analysis, Path(folder), settings=settings, overwrite=overwrite)
+            pipeline.write(self.analysis, Path(folder), settings=self.report["settings"], overwrite=overwrite)
             return
         stated = dict.fromkeys([*self.report.get("files", ()), *(self.report.get("sha256") or ())])  # also what it read
         names = [name for name in stated if name in RESULTS and name != REPORT]
@@ -307,17 +533,11 @@ def read_report(folder: Path) -> Mapping[str, Any]:
     return data
 
 
-def read_folder(folder: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
-    """The scene in a scan's folder, without the truth, and the report.
+def scene_of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
+    """The scene in a scan's folder, without the truth.
 
     Raises InputError if the folder holds neither cloud nor surface, or files that do not belong to its report.
     """
-    report = read_report(folder)
-    return scene_of_folder(folder, report, unit), report
-
-
-def scene_of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
-    """The scene in a scan's folder, without the truth.  Raises InputError as `read_folder`."""
     names = ("cloud.ply", "surface.ply", "recording.csv", "recording.toml")
     check_belongs(folder, report, names)
     cloud, surface, log = (locate(folder / name) for name in names[:3])
@@ -372,7 +592,8 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
         raise InputError(f"{path.name} has no points: expected the columns x, y and z")
     if not len(rows) or not np.isfinite(columns(rows, *POINT)).all():
         raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
-    unit = unit_of(comments, unit)
+    stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
+    unit = stated[0] if stated and stated[0] in UNITS_M else unit
     if faces is None:
         return Scene(path.stem, unit, contacts=rows)
     if not len(faces):
@@ -397,12 +618,6 @@ def _of_other_program(path: Path) -> tuple[NDArray[Any], Any, tuple[str, ...]]:
     except Exception:
         return np.empty(0), (), ()
     return rows, raw["faces"] if len(raw.get("faces", ())) else None, ()
-
-
-def unit_of(comments: tuple[str, ...], default: str) -> str:
-    """The unit that a PLY's comments state, or the default."""
-    stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
-    return stated[0] if stated and stated[0] in UNITS_M else default
 
 
 def other_surface(given: Any, unit: str, file_unit: str = "mm") -> trimesh.Trimesh:
@@ -430,7 +645,7 @@ def _read(path: Path, unit: str) -> tuple[Any, str]:
     if not path.exists():
         raise InputError(f"there is no {path} to compare the surface with: {_WANTED}")
     if path.is_dir():
-        scene: Any = read_folder(path, unit)[0]
+        scene: Any = scene_of_folder(path, read_report(path), unit)
     elif path.suffix.lower() == ".ply":
         scene = read_ply_scene(path, unit)
     elif path.suffix[1:].lower() in FORMATS:

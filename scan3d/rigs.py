@@ -68,9 +68,8 @@ def check_positions(what: str, position_m: Array, length_m: float) -> None:
     # a thousandth of the thinnest rods' diameters
     if step > 1e-6 * length_m:
         raise InputError(
-            f"{what}: position_m holds {number(largest)} m, where numbers are {length(step, 'm', digits=2)} apart, too "
-            "coarse for a rod of "
-            f"{length(length_m, 'm')}; check its unit, or take a frame near the body"
+            f"{what}: position_m holds {number(largest)} m, where numbers are {length(step, 'm', digits=2)} apart, too coarse "
+            f"for a rod of {length(length_m, 'm')}; check its unit, or take a frame near the body"
         )
 
 
@@ -222,9 +221,8 @@ class RigUncertainty:
         scale = np.where(deviations > 0, deviations, 1.0)
         square, axes = np.linalg.eigh(self.covariance / scale / scale[:, None])
         found = np.zeros((len(RIG_QUANTITIES), len(square)))
-        found[[RIG_QUANTITIES.index(name) for name in self.names]] = (
-            scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
-        )
+        rows = [RIG_QUANTITIES.index(name) for name in self.names]
+        found[rows] = scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
         return found[:, square > NEGLIGIBLE]
 
 

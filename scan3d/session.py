@@ -102,9 +102,8 @@ class Session(Described):
             raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
         if recording.table_m not in (None, TABLE):
             raise InputError(
-                "the session's body stands on z = 0, and the recording's on z = "
-                f"{length(recording.table_m, 'm', digits=4)}; state poses in a "
-                "frame in which the table is at 0"
+                f"the session's body stands on z = 0, and the recording's on z = {length(recording.table_m, 'm', digits=4)}; "
+                "state poses in a frame in which the table is at 0"
             )
         recording = replace(recording, table_m=TABLE)
         joined([*self._recordings[-1:], recording])  # raises InputError if it cannot be done
@@ -256,9 +255,8 @@ def around_contacts(recording: Recording, model: str) -> rig.Envelope:
     low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
     if low < -1e-6 * cloud.rod_length:
         raise InputError(
-            f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that "
-            "stands on z = 0 about the "
-            "z axis; move the frame of the poses"
+            f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that stands on z "
+            "= 0 about the z axis; move the frame of the poses"
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())
     return rig.Envelope("cylinder", tuple(float(f"{1.1 * size:.4g}") for size in (2 * radius, high)))

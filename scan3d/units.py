@@ -127,16 +127,12 @@ def without_unit(name: str) -> str:
     return text
 
 
-UNITS: dict[str, Decimal] = {"m": Decimal(1), "mm": Decimal("1e-3"), "µm": Decimal("1e-6"), "nm": Decimal("1e-9")}
+_SIZES = tuple(map(Decimal, ("1", "1e-3", "1e-6", "1e-9")))
+UNITS = dict(zip(("m", "mm", "µm", "nm"), _SIZES, strict=True))
 """The units in which lengths are written, in metres, from the largest to the smallest."""
-FORCES: dict[str, Decimal] = {"N": Decimal(1), "mN": Decimal("1e-3"), "µN": Decimal("1e-6"), "nN": Decimal("1e-9")}
+FORCES = dict(zip(("N", "mN", "µN", "nN"), _SIZES, strict=True))
 """The units in which forces are written, in N."""
-MOMENTS: dict[str, Decimal] = {
-    "N m": Decimal(1),
-    "N mm": Decimal("1e-3"),
-    "mN mm": Decimal("1e-6"),
-    "µN mm": Decimal("1e-9"),
-}
+MOMENTS = dict(zip(("N m", "N mm", "mN mm", "µN mm"), _SIZES, strict=True))
 """The units in which moments are written, in N m."""
 # Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
 _DIGITS, _MOST_DIGITS = 3, 7

@@ -57,9 +57,9 @@ def chromium():
 @functools.cache
 def _has(what):
     if what == "rendering":
-        from scan3d.pictures import rendering
+        from scan3d.pictures import canvas
 
-        return rendering.can_render()
+        return canvas.can_render()
     if what == "browser":
         return chromium() is not None
     try:
@@ -171,4 +171,4 @@ def undiagnosed(monkeypatch):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
+    monkeypatch.setattr("scan3d.pictures.canvas.can_render", lambda: False)

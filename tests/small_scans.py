@@ -10,7 +10,7 @@ from spatial_scans import recorded
 import scan3d
 from scan3d.cli import main
 from scan3d.geometry.distance import distances
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.pictures.parts import of_cloud
 from scan3d.surfaces import certificate, enclosure, surface
 
@@ -58,7 +58,7 @@ def scanned_in_space(**raster):
 
 def undrawn():
     """A context in which no pictures are drawn, which take longer than all the rest."""
-    return mock.patch.object(rendering, "can_render", return_value=False)
+    return mock.patch.object(canvas, "can_render", return_value=False)
 
 
 def scanned_folder(place):

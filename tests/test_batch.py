@@ -21,7 +21,7 @@ import scan3d
 from scan3d import batches, workers
 from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files
 from scan3d.cli import main
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.settings import settings
 
 pytestmark = pytest.mark.all_samples  # the results are those of other processes
@@ -35,8 +35,8 @@ SUMMARIES = {"summary.csv", "index.html", "batch.json"}
 def without_renderer(request, monkeypatch):
     """No pictures, which take longer than everything else, in this process and in its children."""
     if "rendering" not in request.keywords:
-        monkeypatch.setattr(rendering, "can_render", lambda: False)
-        monkeypatch.setenv(rendering.WINDOW, "vtkXOpenGLRenderWindow")
+        monkeypatch.setattr(canvas, "can_render", lambda: False)
+        monkeypatch.setenv(canvas.WINDOW, "vtkXOpenGLRenderWindow")
         monkeypatch.delenv("DISPLAY", raising=False)
 
 
@@ -45,7 +45,7 @@ def serial(tmp_path_factory):
     """Three bodies, one of them bad, scanned one after the other in this process."""
     place = tmp_path_factory.mktemp("serial")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda: False)
         return place / "out", scan3d.batch([*THREE, bad_mesh(place)], place / "out", **SETTINGS)
 
 

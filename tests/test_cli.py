@@ -24,7 +24,7 @@ import scan3d
 from scan3d import results
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.settings import Given, Settings, settings
 
 MESHES = Path(__file__).parents[1] / "meshes"
@@ -52,7 +52,7 @@ def scanned(tmp_path_factory):
     """The folder of a scan of the egg, and what the command printed with --json."""
     out, printed = tmp_path_factory.mktemp("scanned") / "out", io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        patch.setattr(rendering, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda: False)
         assert main(["scan", str(EGG), "--out", str(out), *FEW, "--friction", "0.2", "--json"]) == 0
     return out, printed.getvalue()
 

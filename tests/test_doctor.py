@@ -9,7 +9,7 @@ import pytest
 
 from scan3d.cli import doctor, main
 from scan3d.cli.terminal import table
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 
 _VERSION = doctor._version
 
@@ -28,12 +28,12 @@ def with_ffmpeg(monkeypatch):
 def well(monkeypatch):
     """Nothing is missing, and no child process is run."""
     monkeypatch.setattr(doctor, "_error_of", lambda code: None)
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr(canvas, "can_render", lambda: True)
 
 
 @pytest.mark.slow
 def test_a_scan_is_tried(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr(canvas, "can_render", lambda: True)
     state = doctor.examine()
     assert state["ok"]
     assert state["scan"] == {"works": True, "why_not": None}
@@ -75,7 +75,7 @@ def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
 def test_missing_system_libraries(monkeypatch, platform, known):
     found = "libGL.so.1: no such file"
     monkeypatch.setattr(doctor, "_error_of", lambda code: found if "import open3d" in code else None)
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
     state = doctor.examine()
     assert state["ok"]

@@ -19,7 +19,7 @@ from scan3d.choices import METHODS
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS
 from scan3d.files.recordings import COLUMNS
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from tests.robustness.runner import Threads
 
 ROOT = Path(__file__).parents[1]
@@ -87,7 +87,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demonstration has few slices, a batch needs no processes, and no scan draws its pictures, for other tests do that."""
     monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
     monkeypatch.setattr(workers, "Workers", Threads)
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda: False)
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_every_command_and_all_code_of_a_page_runs(
                 command, _, comment = line.partition("    # ")
                 words = shlex.split(command)
                 assert words[0] == "scan3d"
-                monkeypatch.setattr(rendering, "can_render", lambda shown=words[1] == "show": shown)
+                monkeypatch.setattr(canvas, "can_render", lambda shown=words[1] == "show": shown)
                 assert main(words[1:]) == (1 if comment == "refused" else 0), line
                 if words[1] == "reconstruct":
                     report = Path(words[words.index("--out") + 1], "report.json").read_text(encoding="utf-8")
@@ -150,7 +150,7 @@ def test_the_readme_is_short_and_begins_with_a_moving_picture_and_the_installati
 def test_the_readme_shows_what_the_demonstration_prints(
     tmp_path: Path, all_samples: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda: False)
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
     (shown,) = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "text")
@@ -161,7 +161,7 @@ def test_the_readme_shows_what_the_demonstration_prints(
 def test_the_readme_has_the_exactness_that_scans_print(
     tmp_path: Path, all_samples: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda: False)
     rows = re.findall(r"^\| (\w+\.\w+) \| (.+?) \| (.+?) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
     assert len(rows) == 3
     for name, distance, bound in rows:

@@ -10,14 +10,14 @@ import pytest
 from small_scans import CUBE, FEW, scanned
 
 import scan3d
-from scan3d.pictures import drawing, rendering, views
+from scan3d.pictures import canvas, drawing, views
 
 JOBS = [(".png", {"view": "cloud"})]
 
 
 @pytest.fixture
 def renderer(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr(canvas, "can_render", lambda: True)
 
 
 @pytest.mark.slow

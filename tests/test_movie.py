@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures import rendering, views
+from scan3d.pictures import canvas, views
 
 SIZE = (980, 560)
 
@@ -74,7 +74,7 @@ def test_an_mp4_is_written_by_ffmpeg(egg, tmp_path, monkeypatch):
 
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # importing it fails
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda: False)
     for change, name, sentence in (
         ({}, "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
         ({}, "x.mp4", "an .mp4 needs .*: 'pip install imageio-ffmpeg'; or write a .gif"),

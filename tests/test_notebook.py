@@ -12,7 +12,7 @@ from small_scans import CUBE, EGG, scanned
 
 import planar
 import scan3d
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.units import number
 
 
@@ -117,7 +117,7 @@ def test_a_cloud_shows_itself(cloud):
 def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pictures):
     shown = Reader(replace(cloud, noise=0.1, unit="um")._repr_html_())
     assert shown.pictures == []
-    assert rendering.NO_RENDERER in shown.text
+    assert canvas.NO_RENDERER in shown.text
     assert dict(shown.rows)["position noise"] == "100 nm (standard deviation)"
     with pytest.raises(scan3d.InputError, match="nothing here can render off screen"):
         cloud.plot()
@@ -130,7 +130,7 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
 
 
 def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
+    monkeypatch.setattr(canvas, "can_render", lambda: True)  # it is refused before anything is drawn
     mesh = scanned(CUBE).truth
     for what, options, sentence in (
         ([1, 2], {}, r"only a recording, a cloud or a surface \(trimesh.Trimesh\) can be plotted, got a list"),

@@ -15,7 +15,7 @@ from scan3d.files.shapes import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
 from scan3d.pictures import figures
 from scan3d.pictures.page import page
-from scan3d.results import read_folder
+from scan3d.results import read_report, scene_of_folder
 
 FOREIGN = "can't be recognised as written by scan3d; give --overwrite"
 NEVER = "is the {} that this run reads, which is never overwritten; choose another place with {}"
@@ -125,7 +125,7 @@ def test_reconstruct_has_its_own_recording_beside_its_cloud(folder, refused):
     # as the input of a run it belongs to the result, but remains the user's
     refused(["reconstruct", "out/recording.csv", "--table", "-9", "--out", "out"], "out keeps the recording .* --table")
     assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
-    assert read_folder(folder, "mm")[0].recording is not None
+    assert scene_of_folder(folder, read_report(folder), "mm").recording is not None
     assert "recording.csv" not in earlier_files(folder)
 
 

@@ -15,7 +15,7 @@ from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
 from scan3d.choices import CAMERAS
-from scan3d.pictures import figures, parts, rendering, views
+from scan3d.pictures import canvas, figures, parts, views
 from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.figures import Camera, Sheet, sheet
 from scan3d.pictures.parts import shown_surface
@@ -295,7 +295,7 @@ def test_the_view_that_explains(make, tmp_path):
     ],
 )
 def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, missing, view, sentence):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
+    monkeypatch.setattr(canvas, "can_render", lambda: True)  # it is refused before anything is drawn
     with pytest.raises(scan3d.InputError, match=sentence):
         views.picture(replace(cube, **dict.fromkeys(missing)), tmp_path / "x.png", view)
     assert not list(tmp_path.iterdir())

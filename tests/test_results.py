@@ -13,7 +13,7 @@ import scan3d
 from scan3d.bounds import Certificate
 from scan3d.cli import main
 from scan3d.files.text import to_json
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.settings import settings
 from scan3d.shown import described
 
@@ -25,7 +25,7 @@ SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 def without_renderer(request, monkeypatch):
     """No pictures, which take longer than everything else."""
     if "rendering" not in request.keywords:
-        monkeypatch.setattr(rendering, "can_render", lambda: False)
+        monkeypatch.setattr(canvas, "can_render", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def made(tmp_path_factory):
     """A scan of an egg in a folder, and its result."""
     folder = tmp_path_factory.mktemp("scans") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda: False)
         return folder, scan3d.scan(EGG, folder, **SETTINGS)
 
 
@@ -190,7 +190,7 @@ def test_a_recording_of_another_run_is_refused(copy):
 
 
 def test_the_table_without_a_renderer_says_why(made):
-    assert rendering.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
+    assert canvas.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from small_scans import CUBE, EGG
 import scan3d
 from scan3d.files.shapes import SURFACE_ENDINGS, export
 from scan3d.geometry.distance import distances
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 
 SINGLE = 1e-6  # of a body of 40 mm: float32 has 6e-8 of that
 
@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def result(folder):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda: False)
         return scan3d.scan(CUBE, folder, slices=6, sweeps=4, samples=16, method="hull", friction=(0.1, 0.4))
 
 
@@ -103,7 +103,7 @@ def test_pyvista_has_normals_friction_and_deviations(result):
     assert np.array_equal(data.points, result.cloud.points)
     assert np.allclose(data["Normals"], result.cloud.normals, atol=1e-6, equal_nan=True)
     assert {"friction", "force", "quality", "phase"} <= set(data.point_data.keys())
-    surface = scan3d.steps.to_pyvista(result.surface, CUBE)
+    surface = scan3d.results.to_pyvista(result.surface, CUBE)
     assert surface.n_cells == len(result.surface.faces)
     assert np.allclose(surface["quality"], distances(result.surface.vertices, result.analysis.truth))
     assert np.allclose(surface["bound"], result.certificate.at_vertices, rtol=1e-6)
@@ -117,7 +117,7 @@ def test_open3d_has_normals_friction_and_deviations(result):
     assert np.allclose(cloud.point["normals"].numpy(), result.cloud.normals, atol=1e-6, equal_nan=True)
     assert cloud.point["friction"].numpy().shape == (len(result.cloud), 1)
     assert cloud.point["quality"].numpy().max() < 1e-9
-    mesh = scan3d.steps.to_open3d(result.surface)
+    mesh = scan3d.results.to_open3d(result.surface)
     assert np.array_equal(mesh.triangle["indices"].numpy(), result.surface.faces)
 
 
@@ -128,7 +128,7 @@ def test_a_missing_library_is_named(result, monkeypatch, library):
         getattr(result.cloud, f"to_{library}")()
     if library == "open3d":
         with pytest.raises(scan3d.InputError, match=r"pip install 'scan3d\[open3d\]'$"):
-            scan3d.steps.to_open3d(result.surface)
+            scan3d.results.to_open3d(result.surface)
 
 
 def test_what_can_not_be_saved(result, tmp_path):

@@ -58,7 +58,8 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
 def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_path, no_pictures):
     scan3d.write_recording(ellipsoid.recording, tmp_path / "recording.csv")
     assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
-    read, report = results.read_folder(tmp_path, "mm")
+    report = results.read_report(tmp_path)
+    read = results.scene_of_folder(tmp_path, report, "mm")
     assert report["model"] == "spatial"
     cloud = scan3d.reconstruct(read.recording)
     assert read.column("slice") is None

@@ -13,7 +13,7 @@ from image_checks import pixels
 from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures import canvas, parts, rendering
+from scan3d.pictures import canvas, parts
 from scan3d.pictures.parts import contact_sentence
 
 MISSING = ("libraries", "display")
@@ -99,13 +99,13 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
 
     out = tmp_path / "out"
     done = run("scan", CUBE, "--out", out, *FEW)
-    assert (done.returncode, done.stderr) == (0, f"scan3d: {rendering.NO_RENDERER}\n")
+    assert (done.returncode, done.stderr) == (0, f"scan3d: {canvas.NO_RENDERER}\n")
     assert {path.name for path in out.iterdir()} == {
         "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
     }  # fmt: skip
     page = tmp_path / "page.html"
     done = run("show", folder, "--html", page, "--screenshot", tmp_path / "picture.png")
-    assert (done.returncode, done.stderr) == (1, f"scan3d: {rendering.NO_RENDERER}\n")
+    assert (done.returncode, done.stderr) == (1, f"scan3d: {canvas.NO_RENDERER}\n")
     assert page.exists()
     assert not (tmp_path / "picture.png").exists()
 
@@ -118,7 +118,7 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
 def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     picture, other = tmp_path / "difference.png", tmp_path / "other"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rendering, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda: False)
         recording = folder / "recording.csv"
         assert call("reconstruct", recording, "--out", other, "--method", "hull", "--quiet")[0] == 0
     assert shown("--screenshot", picture, "--html", tmp_path / "a.html", "--against", other)[0] == 0

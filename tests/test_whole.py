@@ -24,7 +24,7 @@ from scan3d.files.whole import (
     write_atomic,
     write_together,
 )
-from scan3d.results import read_folder
+from scan3d.results import scene_of_folder
 
 MESHES = Path(__file__).parents[1] / "meshes"
 can_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the operating system can't fork a process")
@@ -243,7 +243,8 @@ def until(child, condition):
 
 def one_result(folder):
     """The hashes of the files in a folder but the report, which the program has read without complaint."""
-    report = read_folder(folder, "mm")[1]
+    report = read_report(folder)
+    scene_of_folder(folder, report, "mm")
     files = {path.name: sha256(path) for path in folder.iterdir() if path.is_file()}
     assert files.keys() == set(report["files"])
     del files["report.json"]

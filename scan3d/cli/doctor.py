@@ -22,12 +22,7 @@ OPTIONAL = {
     "distributed": "batches on a Dask cluster",
 }
 # A small scan with all steps.  It runs in a child process, because a broken library may end its process.
-_SCAN = """
-import trimesh, scan3d
-body = trimesh.creation.box((30, 20, 10))
-recording = scan3d.simulate(body, scan3d.Plan(slices=3, sweeps=4, samples=8))
-scan3d.compare(scan3d.surface(scan3d.reconstruct(recording)), body)
-"""
+_SCAN = "import scan3d, trimesh; scan3d.scan(trimesh.creation.box((30, 20, 10)), slices=3, sweeps=4, samples=8)"
 
 
 def doctor(*, output: Output = Output()) -> int:
@@ -137,15 +132,15 @@ def _error_of(code: str) -> str | None:
         return str(error)
     if completed.returncode == 0:
         return None
-    lines = [line.strip() for line in completed.stderr.splitlines() if line.strip()]
     if completed.returncode < 0:
         return f"killed by signal {-completed.returncode}"
-    return lines[-1] if lines else f"exit code {completed.returncode}"
+    lines = completed.stderr.strip().splitlines()
+    return lines[-1].strip() if lines else f"exit code {completed.returncode}"
 
 
 def _can_render() -> bool:
     try:
-        from scan3d.pictures import rendering, views  # noqa: F401 - a picture needs what these import
+        from scan3d.pictures import canvas, views  # noqa: F401 - a picture needs what these import
     except ImportError:
         return False
-    return rendering.can_render()
+    return canvas.can_render()

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 RIG_OPTIONS = Parameter(
     group=Group("Rig", help="A rig that goes through a list of poses, in the place of a scan."), show_default=False
 )
-# Settings of a simulated scan that do not concern a rig with given poses.
-_SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
 
 
 @Parameter(name="*")
@@ -224,8 +222,8 @@ def further(
 
 def refuse_settings_of_scans(given: dict[str, Any]) -> None:
     """Raises UsageError for settings that have no effect where a list of poses says where the clamp goes."""
-    wrong = [name for name in _SCAN_ONLY if name in given]
-    if wrong:
+    of_scans = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
+    if wrong := [name for name in of_scans if name in given]:
         instead = "noise belongs into --faults" if wrong == ["noise"] else "give it to scan3d plan, or leave it out"
         raise UsageError(f"--{wrong[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
 
@@ -318,12 +316,7 @@ def _write_log(log: RawLog, path: Path) -> None:
         return
     values = [log.time_s, *(1000 * log.position_m.T), *log.quaternion.T, *log.wrench.T[:3], *(1000 * log.wrench.T[3:])]
     columns = dict(zip(RAW_COLUMNS, [*map(np.asarray, values), log.sweep], strict=True))
-    nominal = log.faults.nominal
-    sensor = {
-        "position_mm": list(nominal.position_mm),
-        "euler_deg": list(nominal.euler_deg),
-        "shows": log.faults.shows,
-    }
+    sensor = {**log.faults.nominal._asdict(), "shows": log.faults.shows}
     write_log(columns, rod_section(log.rod), sensor, path, log.table_m)
 
 
@@ -539,12 +532,10 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     done = imported.summary
     rate = "" if done.rate_hz is None else f" in {done.seconds:.4g} s, {done.rate_hz:.4g} Hz"
     left_out = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items() if count) or "none"
+    touching = f"{done.sweeps_with_contact} of them with contact"
     rows = [
         ("table", f"{done.rows} rows{rate}"),
-        (
-            "recording",
-            f"{done.samples} samples in {done.sweeps} sweeps, {done.sweeps_with_contact} of them with contact",
-        ),
+        ("recording", f"{done.samples} samples in {done.sweeps} sweeps, {touching}"),
         ("left out", left_out),
         *([("ringing", f"{done.ringing} rows, which count as rows without contact")] if done.ringing else []),
         ("axes", "six, for the model in space" if done.six_axis else "three, for the planar model"),
@@ -552,13 +543,10 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     if done.air:
         unit = "s" if done.rate_hz is not None else "rows"
         some = ", ".join([*(f"{a:.4g} to {b:.4g}" for a, b in done.air[:3]), *["..."] * (len(done.air) > 3)])
-        largest, turning = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
-        change = tuple(max(part) for part in (done.drift[:3], done.drift[3:]))
-        rows += [
-            ("in the air", f"{len(done.air)} stretches, {share(done.air_fraction)} of the rows: {some} {unit}"),
-            ("zero taken off", f"up to {force(largest)} and {moment(turning)}"),
-            ("drift", f"up to {force(change[0])} and {moment(change[1])}"),
-        ]
+        rows.append(("in the air", f"{len(done.air)} stretches, {share(done.air_fraction)} of the rows: {some} {unit}"))
+        for what, sizes in (("zero taken off", done.zero), ("drift", done.drift)):
+            largest, turning = (max(map(abs, part)) for part in (sizes[:3], sizes[3:]))
+            rows.append((what, f"up to {force(largest)} and {moment(turning)}"))
     else:
         rows.append(("in the air", "not tared"))
     noise = f"{force(done.noise_force_N)} and {moment(done.noise_moment_Nm)}, standard deviations"

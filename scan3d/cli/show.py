@@ -156,7 +156,8 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
             f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
         )
     if path.is_dir():
-        scene, report = results.read_folder(path, unit)
+        report = results.read_report(path)
+        scene = results.scene_of_folder(path, report, unit)
         found = None if truth else results.find_truth(path, report)
         truth = Path(found) if found else truth
         hull = hull or bool((report.get("mesh") or {}).get("hull"))

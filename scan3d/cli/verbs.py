@@ -243,17 +243,21 @@ def reconstruct(
         "table": table is not None,
         "strict": strict,
     }
-    of_sweep = {"rod": rod, "noise-force": noise_force, "noise-moment": noise_moment}
-    if is_sweep(recording):
-        needed = f"a recording with poses, and {recording.name} is one sweep in one plane"
-        _refuse([name for name, given in of_recording.items() if given], needed)
-        return _reconstruct_sweep(recording, rod, noise_force, noise_moment, out, overwrite, output)
-    if out is None:
+    of_sweep = {
+        "rod": rod is not None,
+        "noise-force": noise_force is not None,
+        "noise-moment": noise_moment is not None,
+    }
+    given, needed = of_sweep, f"one sweep in one plane, which {recording.name} is not"
+    if is_one := is_sweep(recording):
+        given, needed = of_recording, f"a recording with poses, and {recording.name} is one sweep in one plane"
+    elif out is None:
         raise UsageError("--out is missing: it names the folder for the results")
-    _refuse(
-        [name for name, given in of_sweep.items() if given is not None],
-        f"one sweep in one plane, which {recording.name} is not",
-    )
+    if wrong := [f"--{name}" for name, is_given in given.items() if is_given]:
+        raise UsageError(f"{', '.join(wrong)} can be used only with {needed}")
+    if is_one:
+        return _reconstruct_sweep(recording, rod, noise_force, noise_moment, out, overwrite, output)
+    assert out is not None
     # the remaining settings concern the simulation
     used = {"method": method, "hull": hull, **({"reach": reach} if reach else {})}
     settings(used)
@@ -262,9 +266,7 @@ def reconstruct(
         measured = rigged(read_recording(recording), rig)
         if table is not None:
             measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
-        if truth is None:
-            return measured, None
-        return measured, load_mesh(truth, hull=hull, unit=measured.unit)
+        return measured, None if truth is None else load_mesh(truth, hull=hull, unit=measured.unit)
 
     kept = out / RECORDING[0]
     if (rig or table is not None) and kept.exists() and recording.exists() and kept.samefile(recording):
@@ -272,12 +274,7 @@ def reconstruct(
             f"{out} keeps the recording that its results are made from, which --{'rig' if rig else 'table'} changes; choose "
             "another folder with --out"
         )
-    inputs = {
-        "recording": recording,
-        "TOML file of the recording": sidecar(recording),
-        "true body": truth,
-        "rig": rig,
-    }
+    inputs = {"recording": recording, "TOML file of the recording": sidecar(recording), "true body": truth, "rig": rig}
     _, data = pipeline.reconstruct(
         read,
         out,
@@ -289,11 +286,6 @@ def reconstruct(
         step=output.progress.step,
     )
     return _report(data, out, strict, output)
-
-
-def _refuse(given: list[str], needed: str) -> None:
-    if given:
-        raise UsageError(f"{', '.join(f'--{name}' for name in given)} can be used only with {needed}")
 
 
 def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: Output = Output()) -> int:
@@ -470,18 +462,9 @@ def _scanned(
 ) -> dict[str, Any]:
     from scan3d import pipeline
 
-    progress = output.progress
-    _, data = pipeline.scan(
-        mesh,
-        chosen,
-        out,
-        inputs=inputs,
-        overwrite=overwrite,
-        progress=progress.counter(_parts(chosen)),
-        step=progress.step,
-        notify=progress.say,
-    )
-    return data
+    told: dict[str, Any] = {"step": output.progress.step, "notify": output.progress.say}
+    counter = output.progress.counter(_parts(chosen))
+    return pipeline.scan(mesh, chosen, out, inputs=inputs, overwrite=overwrite, progress=counter, **told)[1]
 
 
 def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> int:
@@ -585,12 +568,12 @@ def _rows_of_sweep(data: dict[str, Any]) -> list[tuple[str, str]]:
         by_rounding = f"; by rounding alone: {ask}" if data["only_rounding"] else ""
         place = f"{median}, median of the standard deviations; largest {largest}{by_rounding}"
     without = [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
-    left = [("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open")]
+    if data["undetermined"]:
+        without.append(("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open"))
     return [
         ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
         *without,
-        *(left if data["undetermined"] else []),
         ("s1", " to ".join(size(value, 4) for value in data["s1"])),
         ("friction", friction),
         ("error of the place", place),

@@ -86,12 +86,8 @@ def recording_files(
     if recording.gravity is not None:
         meta["gravity"] = {"direction": recording.gravity.direction, "tared": recording.gravity.tared}
     if (told := recording.completed) is not None:
-        instead = (
-            {"contact": "tip"}
-            if told.friction is None
-            else {"friction": told.friction, "friction_sd": told.friction_sd}
-        )
-        meta["known"] = {"channel": told.channel, **instead}
+        friction = {"friction": told.friction, "friction_sd": told.friction_sd}
+        meta["known"] = {"channel": told.channel, **({"contact": "tip"} if told.friction is None else friction)}
     if recording.rig is not None:
         known = recording.rig
         meta["rig"] = {"quantities": known.names, "covariance": known.covariance.tolist(), "exact": known.exact}
@@ -316,29 +312,16 @@ RAW_COLUMNS = (
 )
 
 
-def map_path(path: str | Path) -> Path:
+def map_path(path: Path) -> Path:
     """Path of the map beside a raw log."""
-    path = Path(path)
     return path.with_name(f"{path.stem}_map.toml")
 
 
 def write_log(
-    columns: dict[str, Array],
-    rod: dict[str, Any],
-    sensor: dict[str, Any],
-    path: str | Path,
-    table_m: float | None = None,
+    columns: dict[str, Array], rod: dict[str, Any], sensor: dict[str, Any], path: Path, table_m: float | None
 ) -> None:
-    """Write a log with faults, of the columns `RAW_COLUMNS`, and its map, which says what the experimenter knows.
-
-    rod
-        the nominal one.
-    sensor
-        its nominal frame, and the wrench that it shows.
-    table_m
-        the height of the table, if it is known.
-    """
-    path = Path(path)
+    """Write a log with faults, of the columns `RAW_COLUMNS`, and its map, which says what the experimenter knows: the nominal
+    rod, the sensor's nominal frame and the wrench that it shows, and the height of the table, unless that is None."""
     text = io.StringIO(newline="\n")
     text.write(",".join(RAW_COLUMNS) + "\n")
     # a sensor shows fewer digits, and a clock and a robot need about as many

@@ -385,9 +385,8 @@ def _check_digits(shape: Shape, ending: str) -> None:
         double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
         raise InputError(
             f"{ending} is in float32, whose numbers are {length(step, shape.unit, digits=2)} apart at coordinates of "
-            f"{largest:.6g} "
-            f"{shape.unit}, so that the shape of this {shape.what} would be lost; choose {one_of(double)}, which keep all "
-            "digits, or scan the body nearer to the origin"
+            f"{largest:.6g} {shape.unit}, so that the shape of this {shape.what} would be lost; choose "
+            f"{one_of(double)}, which keep all digits, or scan the body nearer to the origin"
         )
 
 
@@ -439,8 +438,8 @@ def _read(source: Path, what: str) -> Shape:
 
 def _pcd(shape: Shape) -> bytes:
     """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
-    points = packed_points(shape)
-    fields = list(points.dtype.names or ())
+    fields = {name: shape.rows[name] for name in POINT}
+    fields |= {f"normal_{name[1:]}": shape.rows[name] for name in NORMAL} | shape.columns
     count = len(fields)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -457,7 +456,7 @@ def _pcd(shape: Shape) -> bytes:
         "DATA binary",
         "",
     ]
-    body = np.stack([points[name].astype("<f4") for name in fields], axis=1)
+    body = np.stack([column.astype("<f4") for column in fields.values()], axis=1)
     return "\n".join(header).encode() + body.tobytes()
 
 
@@ -530,17 +529,6 @@ _WRITERS: dict[str, Callable[[Shape], bytes]] = {
 
 def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
     return [shape.rows[name] for name in names]
-
-
-def packed_points(shape: Shape) -> NDArray[np.void]:
-    """The points (n,) as the Point Cloud Library packs them: float32, normals as normal_x …."""
-    columns: dict[str, NDArray[Any]] = {name: shape.rows[name].astype("<f4") for name in POINT}
-    columns |= {f"normal_{name[1:]}": shape.rows[name].astype("<f4") for name in NORMAL}
-    columns |= shape.columns
-    rows = np.empty(len(shape.rows), dtype=[(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    for name, column in columns.items():
-        rows[name] = column
-    return rows
 
 
 # The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.

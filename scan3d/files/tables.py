@@ -31,11 +31,8 @@ from scan3d.files.text import check_readable
 from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
 
-# Memory per byte of a table while it is read.
-_MEMORY_PER_BYTE = 8
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 
 
 @dataclass(frozen=True)
@@ -54,12 +51,8 @@ class Layout:
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line, also of a comment."""
-        return [
-            cell.strip()
-            for cell in _split(
-                [line.lstrip().removeprefix(self.comment) if self.comments(line) else line], self.delimiter
-            )[0]
-        ]
+        bare = line.lstrip().removeprefix(self.comment) if self.comments(line) else line
+        return [cell.strip() for cell in _split([bare], self.delimiter)[0]]
 
     def comments(self, line: str) -> bool:
         return bool(self.comment) and line.lstrip().startswith(self.comment)
@@ -142,19 +135,17 @@ class Table:
         if wrong is not None:
             row, cell = wrong
             advice = "which is no number; correct the cell, or remove the line"
-            if self.layout and _DECIMAL_COMMA.fullmatch(cell):
+            if self.layout and re.fullmatch(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*", cell):
                 advice = 'a decimal comma; write decimal = "," under [table] in the map'
             raise InputError(f"{self.place(row)} has {cell!r} in {self.title(column)}, {advice}")
         bad = np.isinf(values) if gaps else ~np.isfinite(values)
         if bad.any():
             row = int(np.argmax(bad))
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
-            advice = (
-                ', or write missing = "drop" under [table] in the map to leave such rows out' if self.layout else ""
-            )
+            drop = ', or write missing = "drop" under [table] in the map to leave such rows out' if self.layout else ""
             raise InputError(
                 f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
-                f"{int(bad.sum())} of {len(values)} rows; complete the table{advice}"
+                f"{int(bad.sum())} of {len(values)} rows; complete the table{drop}"
             )
         return values
 
@@ -203,16 +194,13 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     """
     path = Path(path)
     name = name or path.name
-    try:
-        check_readable(path, memory_per_byte=_MEMORY_PER_BYTE)
-        if path.suffix.lower() in ENDINGS:
+    if path.suffix.lower() in ENDINGS:
+        with _readable(path, what):
             by_name = read_columns(path)
             return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=sha256(path))
-        if path.suffix.lower() in SHEETS:
-            layout = replace(layout or Layout(), delimiter="\t", decimal=".")
-        text = _text(path)
-    except OSError as error:
-        raise InputError(f"can't read the {what} {path}: {error.strerror or error}") from None
+    text = _text(path, what)
+    if path.suffix.lower() in SHEETS:
+        layout = replace(layout or Layout(), delimiter="\t", decimal=".")
     lines = _first_lines(name, text)
     if layout is None:
         head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
@@ -230,12 +218,8 @@ def guessed_layout(path: Path) -> Layout:
     """The layout of a text table as its first lines suggest; arrays have none.  Raises InputError if it can't be read."""
     if path.suffix.lower() in ENDINGS:
         return Layout()
-    try:
-        check_readable(path, memory_per_byte=_MEMORY_PER_BYTE)
-        stated = Layout("\t") if path.suffix.lower() in SHEETS else Layout()
-        return guessed_head(_first_lines(path.name, _text(path)), stated).layout
-    except OSError as error:
-        raise InputError(f"can't read the table {path}: {error.strerror or error}") from None
+    stated = Layout("\t") if path.suffix.lower() in SHEETS else Layout()
+    return guessed_head(_first_lines(path.name, _text(path, "table")), stated).layout
 
 
 def _first_lines(name: str, text: str) -> list[str]:
@@ -248,11 +232,21 @@ def _first_lines(name: str, text: str) -> list[str]:
     return lines
 
 
-def _text(path: Path) -> str:
+@contextmanager
+def _readable(path: Path, what: str) -> Iterator[None]:
+    try:
+        check_readable(path, memory_per_byte=8)
+        yield
+    except OSError as error:
+        raise InputError(f"can't read the {what} {path}: {error.strerror or error}") from None
+
+
+def _text(path: Path, what: str) -> str:
     """The text of a sheet, or of a file in UTF-8, UTF-16 with its mark, or Latin-1."""
-    if path.suffix.lower() in SHEETS:
-        return sheet_text(path)
-    data = path.read_bytes()
+    with _readable(path, what):
+        if path.suffix.lower() in SHEETS:
+            return sheet_text(path)
+        data = path.read_bytes()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     try:
@@ -292,14 +286,11 @@ def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str]
 def _parsed(name: str, text: str, head: Head) -> Table:
     """The rows below the head of a text table."""
     layout, wrong = head.layout, {}
-    held = [
-        (number, line)
-        for number, line in enumerate(io.StringIO(text, newline=None), 1)
-        if number >= head.first and layout.holds(line)
-    ]
+    rows = enumerate(io.StringIO(text, newline=None), 1)
+    held = {number: line for number, line in rows if number >= head.first and layout.holds(line)}
     if not held and layout is not _OURS:
         raise InputError(f"{name} has no row of data below line {head.first - 1}; expected one row per sample")
-    numbers, lines = [number for number, _ in held], [line for _, line in held]
+    numbers, lines = list(held), list(held.values())
     columns: Sequence[NDArray[Any]] | None = _all_numbers(lines, layout) if lines else [np.empty(0)] * len(head.names)
     if columns is None or len(columns) != (len(head.names) or len(columns)):
         columns = []
@@ -318,10 +309,9 @@ def _all_numbers(lines: Sequence[str], layout: Layout) -> Sequence[Array] | None
     """The columns of lines that hold nothing but numbers, three times as fast as cell by cell; None for other lines."""
     if layout.decimal == ",":
         lines = [line.replace(",", ".") for line in lines]
+    delimiter = None if layout.delimiter == " " else layout.delimiter
     try:
-        values = np.loadtxt(
-            lines, delimiter=None if layout.delimiter == " " else layout.delimiter, comments=None, ndmin=2
-        )
+        values = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
     except ValueError:
         return None
     return [np.ascontiguousarray(column) for column in values.T]
@@ -338,20 +328,17 @@ def _cells(
             f"{name}: lines {numbers[0]} to {numbers[-1]} can't be split into cells: {error}; correct them"
         ) from None
     count = count or len(rows[0])
-    for number, row in zip(numbers, rows, strict=True):
-        if len(row) != count:
-            raise InputError(_wrong_count(name, number, len(row), count, layout))
-    return list(zip(*rows, strict=True))
-
-
-def _wrong_count(name: str, number: int, found: int, count: int, layout: Layout) -> str:
-    expected = f"{name}: line {number} has {found} values, expected {count}"
+    wrong = next(((number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != count), None)
+    if wrong is None:
+        return list(zip(*rows, strict=True))
+    number, found = wrong
+    advice = f", from column {count + 1} on; check the delimiter and the names in the header"
     if found < count:
-        return f"{expected}; it ends in column {found}: is it cut off? complete or remove it"
-    if layout.delimiter == "," and found <= 2 * count:
+        advice = f"; it ends in column {found}: is it cut off? complete or remove it"
+    elif layout.delimiter == "," and found <= 2 * count:
         announced = ', and write decimal = "," under [table] in the map' if layout is not _OURS else ""
-        return f"{expected}; are there decimal commas, first in column 1? separate the columns by semicolons or tabs{announced}"
-    return f"{expected}, from column {count + 1} on; check the delimiter and the names in the header"
+        advice = f"; are there decimal commas, first in column 1? separate the columns by semicolons or tabs{announced}"
+    raise InputError(f"{name}: line {number} has {found} values, expected {count}{advice}")
 
 
 def guessed_head(lines: Sequence[str], layout: Layout) -> Head:
@@ -563,14 +550,11 @@ def sheet_text(path: Path) -> str:
         book = load_workbook(file, read_only=True, data_only=True)
         rows = csv.writer(text, delimiter="\t", lineterminator="\n")
         for row in book.worksheets[0].iter_rows(values_only=True):
-            cells = ["" if cell is None else " ".join(_cell(cell).split()) for cell in row]
+            values = (cell.isoformat() if isinstance(cell, (datetime, date, time)) else cell for cell in row)
+            cells = ["" if cell is None else " ".join(str(cell).split()) for cell in values]
             filled = [k for k, cell in enumerate(cells) if cell]
             rows.writerow(cells[: filled[0] + 1] if len(filled) == 1 else cells)  # a title is no row of the table
     return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    return value.isoformat() if isinstance(value, (datetime, date, time)) else str(value)
 
 
 def _values(column: NDArray[Any]) -> NDArray[Any]:
@@ -579,11 +563,8 @@ def _values(column: NDArray[Any]) -> NDArray[Any]:
         return column.astype("timedelta64[ns]").astype(np.int64) * 1e-9
     if column.dtype.kind in "iufb":
         return column.astype(np.float64)
-    return np.array(["" if value is None else _cell_text(value) for value in column], dtype=object)
-
-
-def _cell_text(value: Any) -> str:
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    texts = (value.decode(errors="replace") if isinstance(value, bytes) else value for value in column)
+    return np.array(["" if value is None else str(value) for value in texts], dtype=object)
 
 
 def parquet_bytes(columns: Mapping[str, NDArray[Any]]) -> bytes:

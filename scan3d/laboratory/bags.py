@@ -8,6 +8,7 @@ those that never change, hold for all times.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -65,9 +66,11 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
     folder = bag_files(path)
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            stamps, values = _wrenches(path.name, reader, _topic(path.name, reader, _WRENCH, topics.wrench, "wrench"))
+            topic = _topic(path.name, reader, _WRENCH, topics.wrench, "wrench")
+            stamped, values = _samples(path.name, reader, topic, _wrench)
             if topics.frames is None:
-                poses = _stamped(path.name, reader, _topic(path.name, reader, _POSE, topics.pose, "pose"))
+                topic = _topic(path.name, reader, _POSE, topics.pose, "pose")
+                poses = _poses(*_samples(path.name, reader, topic, _stamped_pose))
             else:
                 edges = _transforms(path.name, reader)
     except InputError:
@@ -80,6 +83,7 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
         raise InputError(
             f"{path.name}: all poses have a quaternion of length 0, or no numbers; the bag states no orientation"
         )
+    stamps = np.array(stamped, dtype=np.int64)
     position, quaternion = _at(poses, stamps)
     known = np.isfinite(position).all(axis=1)
     if not known.any():
@@ -121,15 +125,26 @@ def _stamp(message: Any, received: int) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec) or received
 
 
-def _wrenches(name: str, reader: Any, topic: str) -> tuple[NDArray[np.int64], Array]:
+def _samples(
+    name: str, reader: Any, topic: str, read: Callable[[str, Any], tuple[float, ...]]
+) -> tuple[list[int], list[tuple[float, ...]]]:
+    """The times in ns and the values of all messages, which are read by a function of their place and their content."""
     stamps, values = [], []
-    for received, message in _messages(reader, topic):
-        force, torque = message.wrench.force, message.wrench.torque
+    for number, (received, message) in enumerate(_messages(reader, topic), 1):
         stamps.append(_stamp(message, received))
-        values.append((force.x, force.y, force.z, torque.x, torque.y, torque.z))
+        values.append(read(f"{name}: message {number} of {topic}", message))
     if not stamps:
         raise InputError(f"{name} has no message on {topic}")
-    return np.array(stamps, dtype=np.int64), np.array(values, dtype=np.float64)
+    return stamps, values
+
+
+def _wrench(_: str, message: Any) -> tuple[float, ...]:
+    force, torque = message.wrench.force, message.wrench.torque
+    return force.x, force.y, force.z, torque.x, torque.y, torque.z
+
+
+def _stamped_pose(where: str, message: Any) -> tuple[float, ...]:
+    return _pose(where, message.pose.position, message.pose.orientation)
 
 
 def _pose(where: str, place: Any, turn: Any) -> tuple[float, ...]:
@@ -144,17 +159,6 @@ def _pose(where: str, place: Any, turn: Any) -> tuple[float, ...]:
     if abs(length - 1) > 1e-3:
         raise InputError(f"{where} has a quaternion of length {length:.4g}, where 1 is expected")
     return values
-
-
-def _stamped(name: str, reader: Any, topic: str) -> _Poses:
-    stamps: list[int] = []
-    values: list[tuple[float, ...]] = []
-    for number, (received, message) in enumerate(_messages(reader, topic), 1):
-        stamps.append(_stamp(message, received))
-        values.append(_pose(f"{name}: message {number} of {topic}", message.pose.position, message.pose.orientation))
-    if not stamps:
-        raise InputError(f"{name} has no message on {topic}")
-    return _poses(stamps, values)
 
 
 def _poses(stamps: list[int], values: list[tuple[float, ...]]) -> _Poses:

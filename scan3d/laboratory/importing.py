@@ -27,6 +27,7 @@ from scan3d.laboratory.logs import (
     Log,
     check_directions,
     ends,
+    held,
     read_log,
     strokes,
     travel_angles,
@@ -171,10 +172,10 @@ def convert(table: Table, map: Map) -> Imported:
             raise InputError(f"{error}; all would be right if {words}") from None
         raise
     notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
-    held = _held(imported)
+    part = _held(imported)
     # retracts and strokes back hold contacts as well, but not most of them
-    if held < 0.7 and (words := _better_reading(table, map, _NEARLY_ALL)):
-        doubt = f"only {share(held)} of the rows in contact lie in sweeps along -x of the clamp's frame"
+    if part < 0.7 and (words := _better_reading(table, map, _NEARLY_ALL)):
+        doubt = f"only {share(part)} of the rows in contact lie in sweeps along -x of the clamp's frame"
         notes = (f"{doubt}, and nearly all do if {words}: check [columns] orientation of {map.name}", *notes)
     return replace(imported, summary=replace(imported.summary, notes=notes))
 
@@ -508,8 +509,7 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
 def _held(imported: Imported) -> float:
     """The part of the rows in contact that lie in sweeps."""
     noise = imported.summary.noise_force_N, imported.summary.noise_moment_Nm
-    touched = _touching(imported.wrench, noise, 0.05)
-    return float((imported.sweep >= 0)[touched].mean()) if touched.any() else 1.0
+    return held(imported.sweep, _touching(imported.wrench, noise, 0.05))
 
 
 def _better_reading(table: Table, map: Map, least: float) -> str:

@@ -137,12 +137,8 @@ def _in_sensor(wrench: Array, present: Mask, quaternion: Array, map: Map, table:
     return np.concatenate([turn.apply(part, inverse=True) for part in np.hsplit(wrench, 2)], axis=1)
 
 
-def _entry(map: Map, entry: str) -> str:
-    return f"[columns] {entry} of {map.name}"
-
-
 def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int, float]:
-    where, names = _entry(map, entry), table.names
+    where, names = f"[columns] {entry} of {map.name}", table.names
     if isinstance(reference, int):
         if reference > len(table.columns):
             raise InputError(
@@ -193,8 +189,8 @@ def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
     # angles count on beyond a turn on some rigs, but not so many
     if quantity and (largest := float(np.nanmax(np.abs(values), initial=0.0))) > 1e6:
         raise InputError(
-            f"{table.name} has an angle of {largest:.3g} rad, {largest / (2 * np.pi):.3g} turns; check "
-            f"{_entry(map, 'orientation')}, and [units] angle"
+            f"{table.name} has an angle of {largest:.3g} rad, {largest / (2 * np.pi):.3g} turns; check [columns] orientation "
+            f"of {map.name}, and [units] angle"
         )
     return values
 
@@ -213,7 +209,7 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
         if off.max() > 1e-3:
             raise InputError(
                 f"{table.place(int(row[np.argmax(off)]))} has an orientation that is no rotation matrix, by "
-                f"{off.max():.3g}; check the nine columns of {_entry(map, 'orientation.matrix')}, row by row"
+                f"{off.max():.3g}; check the nine columns of [columns] orientation.matrix of {map.name}, row by row"
             )
         return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
     length = np.linalg.norm(values, axis=1)
@@ -221,7 +217,7 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
     if abs(length[worst] - 1) > 1e-3:  # as in a recording
         raise InputError(
             f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, where 1 is expected; "
-            f"check the four columns of {_entry(map, 'orientation')}"
+            f"check the four columns of [columns] orientation of {map.name}"
         )
     return np.roll(values, 1, axis=1) if orientation.order == "xyzw" else values
 
@@ -300,7 +296,6 @@ def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
 _OVER_JITTER = 20.0
 # The clamp turns if its axes change by more than this many radians over a displacement.
 _TURNING = 0.02
-_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def strokes(position: Array, quaternion: Array, length: float) -> tuple[NDArray[np.int64], Mask]:
@@ -476,11 +471,11 @@ def check_directions(
         )
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
-    held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
-    # retracts and strokes back hold contacts as well, but not most of them; a sweep is along the axis within 0.3 rad
-    if len(known) and (known < 0.3).mean() >= 0.5 and held >= 0.2:
+    elsewhere = held(sweep, touched) < 0.2  # retracts and strokes back hold contacts as well, but not most of them
+    # a sweep is along the axis within 0.3 rad
+    if len(known) and (known < 0.3).mean() >= 0.5 and not elsewhere:
         return
-    axis = _usual_axis(np.where(touched, 0, -1) if held < 0.2 else sweep, position, quaternion)
+    axis = _usual_axis(np.where(touched, 0, -1) if elsewhere else sweep, position, quaternion)
     advice = (
         "check orientation (its order of columns or its convention) and position under [columns], [units] angle, and "
         "the clamp's frame under [clamp], with y along the rod and x against the sweep"
@@ -488,9 +483,14 @@ def check_directions(
     if axis == "+x":
         advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'
     raise InputError(
-        f"{where}: the clamp moves {'in contact ' if held < 0.2 else ''}mostly along {axis} of its own frame, and not "
+        f"{where}: the clamp moves {'in contact ' if elsewhere else ''}mostly along {axis} of its own frame, and not "
         f"along -x as in a sweep; in {map.name} {advice}"
     )
+
+
+def held(sweep: NDArray[np.int64], touched: Mask) -> float:
+    """The part of the rows (n,) in contact that lie in sweeps; 1 without any."""
+    return float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
 
 
 def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> str:
@@ -501,4 +501,4 @@ def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) ->
         return "no axis"
     local = Rotation.from_quat(quaternion[:-1][rows], scalar_first=True).apply(step[rows], inverse=True)
     lengths = np.stack([np.maximum(local, 0).sum(axis=0), np.maximum(-local, 0).sum(axis=0)], axis=1).ravel()
-    return _AXES[int(np.argmax(lengths))]
+    return ("+x", "-x", "+y", "-y", "+z", "-z")[int(np.argmax(lengths))]

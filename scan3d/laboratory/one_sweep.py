@@ -27,8 +27,6 @@ from scan3d.rods import Rod
 COLUMNS = ("x0", "f0x", "f0y", "m0z")
 """Base position and support reactions in rod lengths, EI/L² and EI/L."""
 SI_COLUMNS = ("x0_m", "f0x_N", "f0y_N", "m0z_Nm")
-# What a recording has and one sweep in one plane has not.
-_POSE = {"qw", "qx", "qy", "qz"}
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,7 @@ def is_sweep(path: str | Path) -> bool:
     except (OSError, UnicodeDecodeError):
         return False
     names = {name.strip().strip('"') for name in re.split("[,;\t]", line)}
-    return bool(names & {*COLUMNS, *SI_COLUMNS}) and not names & _POSE
+    return bool(names & {*COLUMNS, *SI_COLUMNS}) and not names & {"qw", "qx", "qy", "qz"}  # which a recording has
 
 
 def read_sweep(
@@ -240,10 +238,8 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     rounding = [0.0 if column is None else rounding_sd(column[np.isfinite(column)]) for column in columns]
     force = together(sweep.noise_force, max(rounding[:2])) / in_force
     moment = together(sweep.noise_moment, rounding[2]) / in_moment
-    measured = [
-        None if column is None else column / unit
-        for column, unit in zip(columns, (in_force, in_force, in_moment), strict=True)
-    ]
+    units = (in_force, in_force, in_moment)
+    measured = [None if column is None else column / unit for column, unit in zip(columns, units, strict=True)]
     x0, rod = sweep.x0 / in_length, sweep.rod.in_plane() if sweep.rod else planar.Rod()
     alone = sweep.f0x is None and sweep.f0y is None
     sizes = [column for column in (measured[2:] if alone else measured[:2]) if column is not None]

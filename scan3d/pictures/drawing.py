@@ -17,7 +17,7 @@ from typing import Any
 
 from scan3d.choices import CHARTS
 from scan3d.errors import InputError
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from scan3d.pictures.figures import Sheet
 from scan3d.pictures.parts import Scene
 from scan3d.processes import python
@@ -77,7 +77,7 @@ class Drawing:
             self._drawn.set_exception(error)
 
     def _answer(self) -> list[bytes]:
-        rendering.need_renderer()
+        canvas.need_renderer()
         environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
         with self._changing:
             if self._is_over:
@@ -125,7 +125,7 @@ def serve() -> None:
     """What the child process does: get ready, read a scene from the standard input, write pictures to the standard output."""
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print goes elsewhere
-    rendering.assume_renderer()
+    canvas.assume_renderer()
     _warm_up()
     request = sys.stdin.buffer.read()
     try:

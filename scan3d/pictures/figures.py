@@ -210,9 +210,8 @@ def show_canvas(
     """
     strip = strip_height(canvas, sheet)
     # whole pixels: the image is shown as it was rendered
-    left, bottom, width, height = (
-        round(side * sheet.dpi) for side in (place[0], place[1] + strip, place[2], place[3] - strip)
-    )
+    sides = (place[0], place[1] + strip, place[2], place[3] - strip)
+    left, bottom, width, height = (round(side * sheet.dpi) for side in sides)
     if min(place[2], place[3] - strip) < 4 * sheet.em:
         wide, high = (f"{side * 25.4:.0f}" for side in figure.get_size_inches())
         raise InputError(
@@ -275,17 +274,13 @@ def _draw_world_axes(axes: Any, canvas: Canvas, sheet: Sheet) -> float:
 
 def _draw_scale(axes: Any, length_across: float, width: float, begin: float, sheet: Sheet, unit: str) -> None:
     """A line as long as a round length, right of `begin`; the picture is `length_across` units, or `width` inches, wide."""
-    length = nice(0.22 * length_across)
+    longest = 0.22 * length_across
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = float(max(step * power for step in (1, 2, 5) if step * power <= longest * (1 + 1e-9)))  # but for rounding
     along, begin, em = length / length_across * width, begin + 1.2 * sheet.em, sheet.em
     axes.plot([begin, begin + along], [0.5 * em] * 2, color=INK, lw=0.2 * sheet.font, solid_capstyle="butt")
     text = f"{length:g} {unit_symbol(unit)}"
     axes.text(begin + along / 2, 0.75 * em, text, ha="center", va="bottom", fontsize=sheet.font - 1, color=INK)
-
-
-def nice(length: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is no longer, but for rounding."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
 def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> float:
@@ -330,9 +325,8 @@ def wrapped(title: str, length: float, sheet: Sheet) -> str:
     name, between, unit = title.replace(" um", " µm").rpartition(" in ")
     joined = name + between.replace(" in ", " in\u00a0") + unit  # a unit does not stand alone
     fewest = textwrap.wrap(joined, most, break_long_words=False)
-    fitting = (
-        textwrap.wrap(joined, width, break_long_words=False) for width in range(len(joined) // len(fewest), most)
-    )
+    widths = range(len(joined) // len(fewest), most)
+    fitting = (textwrap.wrap(joined, width, break_long_words=False) for width in widths)
     lines = next((lines for lines in fitting if len(lines) <= len(fewest)), fewest)
     return "\n".join(lines).replace("\u00a0", " ")
 

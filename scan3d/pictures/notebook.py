@@ -20,7 +20,7 @@ from scan3d.choices import WITH_OTHER, Color, View, one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.whole import atomic, check_file
-from scan3d.pictures import rendering, views
+from scan3d.pictures import canvas, views
 from scan3d.pictures.figures import Sheet, own_style, save, sheet
 from scan3d.pictures.parts import Scene, of_cloud
 from scan3d.recording import Recording
@@ -153,16 +153,16 @@ def to_html(result: Recording | Cloud) -> str:
     if isinstance(result, Recording):
         rows = [*rows, *((f"source: {name}", str(value)) for name, value in result.source.items())]
         return _html(title, rows, _small(plot(result)))
-    if not rendering.can_render():
-        return _html(title, rows, note=rendering.NO_RENDERER)
+    if not canvas.can_render():
+        return _html(title, rows, note=canvas.NO_RENDERER)
     return _html(title, rows, _small(plot(result)) if len(result) else "")
 
 
 def scene_html(title: str, rows: Rows, scene: Scene) -> str:
     """A table in HTML of rows (name, value), with a small picture of a scene where one can be rendered."""
-    if rendering.can_render():
+    if canvas.can_render():
         return _html(title, rows, _small(scene_image(scene, "cloud" if scene.surface is None else "surface", "force")))
-    return _html(title, rows, note=rendering.NO_RENDERER)
+    return _html(title, rows, note=canvas.NO_RENDERER)
 
 
 def _html(title: str, rows: Rows, picture: str = "", note: str | None = None) -> str:

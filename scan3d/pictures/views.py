@@ -21,18 +21,9 @@ from scan3d.choices import CHARTS, VIEWS
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
-from scan3d.pictures.canvas import DIRECTION, Canvas
+from scan3d.pictures.canvas import DIRECTION, Canvas, need_renderer
 from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
-from scan3d.pictures.parts import (
-    BODY,
-    TANGENTIAL,
-    Scene,
-    ShownSweep,
-    has_rods,
-    is_spatial,
-    shown_sweep,
-)
-from scan3d.pictures.rendering import need_renderer
+from scan3d.pictures.parts import BODY, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
 
 if TYPE_CHECKING:
@@ -115,10 +106,8 @@ def _cloud(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
         entries += [("normal", parts.NORMAL, "-")] if len(normals) else []
         right = figures.box_of(figure, figures.legend(figure, entries, 1, sheet.font)).x0
     else:
-        is_tip = scene.column("phase") == planar.Phase.TIP
-        right = figures.color_bar(
-            figure, shaded, sheet, unknown="tip contact" if color == "friction" and np.any(is_tip) else ""
-        )
+        is_tip = color == "friction" and np.any(scene.column("phase") == planar.Phase.TIP)
+        right = figures.color_bar(figure, shaded, sheet, unknown="tip contact" if is_tip else "")
     figures.show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
     return figure
 
@@ -172,9 +161,8 @@ def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     ]
     figure = _sized(canvas, sheet, beside=0.0, above=4.2 * sheet.em)
     bottom = figures.box_of(figure, figures.legend(figure, entries, 4, sheet.font)).y1
-    figures.show_canvas(
-        figure, canvas, _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom), sheet, scene.unit
-    )
+    place = _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom)
+    figures.show_canvas(figure, canvas, place, sheet, scene.unit)
     return figure
 
 

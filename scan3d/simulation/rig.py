@@ -91,7 +91,7 @@ class RawLog:
 
 
 class _Rows(NamedTuple):
-    """Where the clamp truly is at the rows of a log."""
+    """Where the clamp truly is at the rows of a log: its first fields."""
 
     time: Array
     sweep: NDArray[np.int64]
@@ -171,7 +171,7 @@ def simulate_rig(
     wrench = np.zeros((len(rows.time), 6))
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
-    warnings = _warnings(mesh, poses, reactions, (length, radius, metres))
+    warnings = _warnings(mesh, poses, reactions, length, radius, metres)
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
     if "around" in poses.source:
         source["around"] = poses.source["around"]
@@ -241,10 +241,9 @@ def _tracks(
 
 
 def _warnings(
-    mesh: Any, poses: PoseList, reactions: list[Reactions], sizes: tuple[float, float, float]
+    mesh: Any, poses: PoseList, reactions: list[Reactions], length: float, radius: float, metres: float
 ) -> tuple[str, ...]:
     """Sentences on sweeps whose log is not that of a rod that is free before and after it."""
-    length, radius, metres = sizes
     touching = steps_touch(mesh, poses.position_m / metres, poses.axes(), length, radius)
     outside = (poses.move[:-1] != Move.SWEEP) | (poses.move[1:] != Move.SWEEP)
     hit = np.unique(poses.sweep[1:][touching & outside])
@@ -274,24 +273,22 @@ DRIFTS = ("linear", "random-walk")
 _STREAMS = ("bias", "drift", "white", "pink", "jitter", "missing")
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """A size of forces and moments: absolute, or relative to the largest of the log."""
 
     force_N: float = 0.0
     moment_Nm: float = 0.0
     fraction: float = 0.0
 
-    def of(self, largest: tuple[float, float]) -> tuple[float, float]:
-        """In N and N·m; the absolute and the relative part are added."""
-        return self.force_N + self.fraction * largest[0], self.moment_Nm + self.fraction * largest[1]
+    def of(self, largest: tuple[float, float]) -> Array:
+        """(6,) of each channel, in N and N·m; the absolute and the relative part are added."""
+        return np.repeat([self.force_N + self.fraction * largest[0], self.moment_Nm + self.fraction * largest[1]], 3)
 
     def __bool__(self) -> bool:
-        return bool(self.force_N or self.moment_Nm or self.fraction)
+        return any(self[:])
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where a sensor sits in the frame of the clamp: its origin in mm, and its turn as "xyz" Euler angles in degrees."""
 
     position_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -414,16 +411,11 @@ def measured(force: Array, moment: Array, faults: Faults, untouched: tuple[float
     wrench = wrench + _bias(faults, largest) + _drift(len(wrench), faults, largest)
     if faults.noise:
         white = _generator(faults, "white").standard_normal(wrench.shape)
-        wrench = wrench + white * _by_channel(faults.noise, largest)
+        wrench = wrench + white * faults.noise.of(largest)
     if faults.pink:
-        random, sizes = _generator(faults, "pink"), _by_channel(faults.pink, largest)
+        random, sizes = _generator(faults, "pink"), faults.pink.of(largest)
         wrench = wrench + np.stack([size * pink_noise(len(wrench), random) for size in sizes], axis=1)
-    return rounded(wrench, _by_channel(faults.quantum, largest))
-
-
-def _by_channel(size: Size, largest: tuple[float, float]) -> Array:
-    """(6,) the size of each channel."""
-    return np.repeat(size.of(largest), 3)
+    return rounded(wrench, faults.quantum.of(largest))
 
 
 def lagged(values: Array, faults: Faults) -> Array:
@@ -442,8 +434,7 @@ def lagged(values: Array, faults: Faults) -> Array:
 
 def _bias(faults: Faults, largest: tuple[float, float]) -> Array:
     """(6,) the offsets of the channels; those given as a fraction point in a random direction."""
-    relative = np.array(faults.bias.of(largest))
-    bias: Array = _directions(_generator(faults, "bias")) * np.repeat(relative, 3)
+    bias: Array = _directions(_generator(faults, "bias")) * faults.bias.of(largest)
     for part, given in ((slice(0, 3), faults.bias_force_N), (slice(3, 6), faults.bias_moment_Nm)):
         if given is not None:
             bias[part] = given
@@ -464,7 +455,7 @@ def _drift(rows: int, faults: Faults, largest: tuple[float, float]) -> Array:
     """
     if not faults.drift:
         return np.zeros((rows, 6))
-    random, size = _generator(faults, "drift"), _by_channel(faults.drift, largest)
+    random, size = _generator(faults, "drift"), faults.drift.of(largest)
     if faults.drift_kind == "linear":
         return np.linspace(0, 1, rows)[:, None] * (_directions(random) * size)
     steps = random.standard_normal((rows, 6)) * (size / np.sqrt(3 * max(rows - 1, 1)))

@@ -129,7 +129,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
 
         first = first_heights(*scan.extent, plan)
         # rods of bodies that are not convex are followed together, and by several processes
-        together = (16, 64)[not convex]
+        together = 16 if convex else 64
         for start in range(0, len(first), together):
             scan.scan(first[start : start + together])
             _check_sweeps(scan, plan.samples)

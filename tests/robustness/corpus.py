@@ -15,7 +15,7 @@ import trimesh
 import scan3d
 from scan3d import pipeline
 from scan3d.files.recordings import write_recording
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 
 HUGE = "1" * 400
 """A number of 400 digits, which no float can hold."""
@@ -41,12 +41,12 @@ def make(folder):
     recording = scan3d.simulate(scan3d.load_mesh(folder / "box.stl"), scan3d.Plan(slices=4, samples=20))
     write_recording(recording, folder / "log.csv")
     (folder / "scan").mkdir()
-    could, rendering.can_render = rendering.can_render, lambda: False
+    could, canvas.can_render = canvas.can_render, lambda: False
     try:
         analysis = pipeline.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
         pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"})
     finally:
-        rendering.can_render = could
+        canvas.can_render = could
     return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder)]
 
 

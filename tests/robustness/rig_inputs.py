@@ -11,7 +11,7 @@ import trimesh
 import planar
 from scan3d.cli import main
 from scan3d.files.recordings import write_recording
-from scan3d.pictures import rendering
+from scan3d.pictures import canvas
 from tests import rigs
 
 KINDS = ("plan", "plan", "poses", "poses", "import", "import", "import", "calibrate", "next", "next", "sweep")
@@ -44,7 +44,7 @@ def prepare(source):
     rows = zip(*(getattr(sweep, name).tolist() for name in ("x0", "f0x", "f0y", "m0z")), strict=True)
     lines = [",".join("0" if value != value else repr(value) for value in row) for row in rows]
     (place / "sweep.csv").write_text("\n".join(["x0,f0x,f0y,m0z", *lines, ""]))
-    could, rendering.can_render = rendering.can_render, lambda: False
+    could, canvas.can_render = canvas.can_render, lambda: False
     before = Path.cwd()
     try:
         os.chdir(place)
@@ -57,7 +57,7 @@ def prepare(source):
         _run("calibrate", "touches.csv", "--sphere=30", "--out=rig.toml")
     finally:
         os.chdir(before)
-        rendering.can_render = could
+        canvas.can_render = could
 
 
 def _run(*argv):

@@ -97,10 +97,10 @@ def _child(argv, folder, writer, draw):
     os.chdir(folder)
     from scan3d import workers
     from scan3d.cli import main
-    from scan3d.pictures import rendering
+    from scan3d.pictures import canvas
 
     if not draw:
-        rendering.can_render = lambda: False
+        canvas.can_render = lambda: False
     # the runs of a batch are made in this process, whose limits and warnings are seen
     workers.Workers = Threads
     outcome = Outcome()
