@@ -30,7 +30,7 @@ import numpy as np
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.geometry.distance import Search
-from scan3d.geometry.hulls import against_hull, prepare_facets
+from scan3d.geometry.hulls import Facets, against_hull, prepare_facets
 from scan3d.geometry.triangles import distance_to, halve, longest_first, without_unused
 
 if TYPE_CHECKING:
@@ -49,20 +49,10 @@ class Side(NamedTuple):
     upper: float
 
 
-@dataclass(frozen=True)
-class Body:
+@dataclass(frozen=True, kw_only=True)
+class Body(Facets):
     """A triangle mesh ready for distance queries."""
 
-    vertices: Array
-    """(n, 3)"""
-    faces: Index
-    """(m, 3), longest edge first."""
-    corners: Array
-    """(m, 3, 3) vertices of the faces."""
-    normals: Array
-    """(m, 3) unit normals of the faces, zero where a face has no area."""
-    volume: float
-    """NaN unless the mesh is closed."""
     planes: Array
     """(m, 4) for each face, n and c of a plane <n, x> = c that supports the hull."""
     slack: float
@@ -75,8 +65,7 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     """A mesh moved by ``-centre`` and divided by `scale`, its distance from its hull, and the search for its nearest faces."""
     facets = prepare_facets(mesh, centre, scale)
     planes, slack = against_hull(facets)
-    vertices, faces, corners, normals, _, volume, _ = facets
-    return Body(vertices, faces, corners, normals, volume, planes, slack, Search(corners))
+    return Body(**vars(facets), planes=planes, slack=slack, search=Search(facets.corners))
 
 
 def deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negligible: float) -> tuple[float, Array]:
@@ -92,7 +81,8 @@ def deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negl
         used, renumbered = without_unused(triangles)
         turned = np.take_along_axis(renumbered, longest_first(points[triangles]), axis=1)
         corners = points[used][turned]
-        bodies.append(Body(points[used], turned, corners, corners[:, 0], np.nan, supporting, slack, Search(corners)))
+        known = Facets(points[used], turned, corners, corners[:, 0], False, np.nan)
+        bodies.append(Body(**vars(known), planes=supporting, slack=slack, search=Search(corners)))
     (found,) = one_sided_distances(((bodies[0], bodies[1]),), False, negligible)
     return found.upper, found.point
 

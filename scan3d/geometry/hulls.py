@@ -27,7 +27,8 @@ of length does not matter.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -148,7 +149,8 @@ def turns(rays: Array) -> float:
     return float(np.arctan2(sines, length.prod(axis=1) + cosines).sum()) / (2 * np.pi)
 
 
-class Facets(NamedTuple):
+@dataclass(frozen=True)
+class Facets:
     """A triangle mesh at the common size."""
 
     vertices: Array
@@ -205,7 +207,7 @@ def _wound_alike(facets: Facets) -> Facets:
         return facets
     # in this order the longest edge stays first
     faces[mirrored], corners[mirrored] = faces[mirrored][:, [1, 0, 2]], corners[mirrored][:, [1, 0, 2]]
-    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True, opposite=None)
+    return replace(facets, faces=faces, corners=corners, normals=facets.normals[kept], closed=True, opposite=None)
 
 
 def _planes(points: Array) -> Array:
@@ -226,9 +228,9 @@ def against_hull(facets: Facets) -> tuple[Array, float]:
     depth * R / r, with r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than a
     tenth of `CONVEX_DEPTH` are not examined further.
     """
-    vertices, faces, corners, normals, closed, _, opposite = facets
+    vertices, corners, normals, closed = facets.vertices, facets.corners, facets.normals, facets.closed
     if closed:
-        planes, distance = planes_by_edges(faces, corners, normals, opposite)
+        planes, distance = planes_by_edges(facets.faces, corners, normals, facets.opposite)
         if distance <= CONVEX_DEPTH / 10:
             return planes, distance
     unbounded = np.empty((0, 4)), np.inf
