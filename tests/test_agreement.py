@@ -47,9 +47,6 @@ def right():
     return recorded_in_space(0.3, **RASTER)[0]
 
 
-# --- wrong recordings ---
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_wrong_recording_is_remarked_on(egg, fault, undiagnosed):
     assert remarks(FAULTS[fault](egg))
@@ -117,17 +114,11 @@ def test_a_planar_recording_with_six_axes_may_be_read_as_planar(egg):
     assert checked(recording, scan3d.reconstruct(recording, model="planar")).contradictions == []
 
 
-# --- right recordings: those in slices are draws of `robustness.bounds` ---
-
-
 @pytest.mark.parametrize("digits", [4, 6])
 def test_rounded_recordings_in_space_are_not_remarked_on(right, digits, undiagnosed):
     largest = max(np.abs(right.force_N).max(), np.abs(right.force_z_N).max())
     step = 10.0 ** (np.ceil(np.log10(largest)) - digits)
     assert remarks(changed(right, lambda f, m: (np.round(f / step) * step, np.round(m / step * 20) * step / 20))) == []
-
-
-# --- what becomes of it ---
 
 
 @pytest.mark.slow

@@ -95,9 +95,6 @@ def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
     assert left.volume < 0.9 * 8 * 1.2**3
 
 
-# --- apexes ---
-
-
 def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
     """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
     rng = np.random.default_rng(seed)

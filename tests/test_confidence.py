@@ -70,9 +70,6 @@ def test_contacts_and_normals_lie_within_what_is_stated_of_them(names):
         assert 0.93 <= np.concatenate(parts).mean() <= 0.97
 
 
-# --- slices ---
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"),
@@ -96,9 +93,6 @@ def test_the_section_lies_between_the_polygons(name, noise):
         assert len(slice_.angle) >= 3
         assert (slice_.value >= support - rounding).all()
         assert ((normals @ slice_.points.T).max(axis=1) <= support + rounding).all()
-
-
-# --- averages ---
 
 
 @pytest.mark.slow
@@ -148,9 +142,6 @@ def test_the_part_of_a_polygon_beyond_a_line():
     )
     np.testing.assert_allclose(extent, np.sqrt(0.5))
     np.testing.assert_allclose(height, np.sqrt(0.5))
-
-
-# --- enclosures and certificates ---
 
 
 @pytest.mark.slow

@@ -18,9 +18,6 @@ SMOOTH = {
 }
 
 
-# Smooth contours
-
-
 @pytest.mark.parametrize("contour", SMOOTH.values(), ids=SMOOTH)
 def test_points_have_the_slope_they_are_asked_for(contour):
     # the tangent by central differences, whose error is that of third derivatives times the step squared
@@ -90,9 +87,6 @@ def test_path_ends_at_the_leftmost_point_or_at_the_tips_height(radius, lowest):
     assert path.slope[0] == pytest.approx(np.pi / 2 if above > 0 else np.arccos(-above))
 
 
-# Polygons
-
-
 def test_duplicate_and_collinear_vertices_are_dropped():
     tilted = SQUARE @ [[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]
     for square in (SQUARE, tilted):
@@ -123,9 +117,6 @@ def test_polygons_from_3_to_100_000_vertices(count):
     assert time.perf_counter() - started < 15
     assert (swept.phase != planar.Phase.NONE).all()
     assert polygon.distance(swept.point).max() < 1e-12
-
-
-# Refusals
 
 
 PENTAGRAM = np.array([[np.sin(4 * np.pi * k / 5), 0.9 + 0.5 * np.cos(4 * np.pi * k / 5)] for k in range(5)])

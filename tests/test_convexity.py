@@ -122,9 +122,6 @@ def test_the_faces_of_a_strictly_convex_body_are_the_facets_of_its_hull_turned_o
     assert trimesh.Trimesh(points, outward, process=False).volume == pytest.approx(hull.volume, rel=1e-12)
 
 
-# --- the distance to the hull ---
-
-
 @pytest.mark.parametrize("depth", [1e-10, 1e-6, 1e-2])
 def test_a_shallow_dent_is_bounded_from_above_and_not_by_much(depth):
     body = dented(depth)
@@ -146,9 +143,6 @@ def test_a_pinhole_counts_by_its_size(side):
     mesh, hole = pinhole(side)
     # the middle of the hole lies on the hull's surface, and the mesh is at its edge
     assert inscribed_radius(hole) <= distance_to_hull(mesh) < 20 * side
-
-
-# --- the deepest dent ---
 
 
 def dent_of_file(path):

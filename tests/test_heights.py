@@ -48,9 +48,6 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
     assert (~beyond).sum() == (min(FIRST_SLICES, slices) if spacing == "adaptive" else slices)
 
 
-# --- by the contacts along one axis ---
-
-
 KNOWN = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
 
 
@@ -94,8 +91,6 @@ def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
     np.testing.assert_allclose(inside, first[2:-2])
     assert len(heights) > len(first)
 
-
-# --- along several axes ---
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
 POLYTOPE = trimesh.convex.convex_hull(np.random.default_rng(3).normal(size=(20, 3)) * [12, 9, 7])
@@ -179,8 +174,6 @@ def test_noisy_contacts_are_planned_axis_by_axis():
     cloud = cloud_of("polytope", 4, "xyz", sweeps=4, noise=1e-3)
     assert [slices_along(cloud, axis) for axis in np.eye(3)] == [4 + BEYOND] * 3
 
-
-# --- contours that need more contacts ---
 
 FEW_SAMPLES = {"slices": 60, "samples": 10, "friction": (0.0, 0.4)}
 

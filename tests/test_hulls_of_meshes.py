@@ -37,9 +37,6 @@ def scanned():
     return scan3d.scan(letter_l(), hull=True, **SETTINGS)
 
 
-# --- dents ---
-
-
 def test_the_hull_fills_dents(dimpled):
     body = load_mesh(dimpled, hull=True)
     assert body.is_convex
@@ -62,9 +59,6 @@ def test_without_the_hull_dents_stay_and_faces_are_turned_outwards(dimpled):
         assert not is_convex(body)
         assert "filled" not in body.metadata
     assert is_convex(judge_mesh(load_mesh(dimpled), hull=True))
-
-
-# --- what is printed, reported and drawn ---
 
 
 def test_the_report_has_the_distance_to_the_mesh_itself(scanned):

@@ -228,9 +228,6 @@ def test_titles_and_units_are_found_by_the_guess(tmp_path):
     assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
 
 
-# --- Parquet ---
-
-
 def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
     (tmp_path / "log.parquet").write_bytes(b"no such thing")
     (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")

@@ -69,9 +69,6 @@ def embedded(picture):
         return np.asarray(image.convert("RGB")).astype(int)
 
 
-# --- tables ---
-
-
 def test_a_recording_shows_itself(recording):
     shown = Reader(recording._repr_html_())
     rows = dict(shown.rows)
@@ -124,9 +121,6 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
     shown = Reader(cloud.select(np.zeros(len(cloud), dtype=bool))._repr_html_())
     assert dict(shown.rows)["contacts"] == "0: 0 tangential, 0 at the tip"
     assert shown.pictures == []
-
-
-# --- pictures ---
 
 
 def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):

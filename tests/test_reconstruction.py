@@ -34,9 +34,6 @@ def assert_no_contact(contacts, status):
         assert np.isnan(getattr(contacts, name)).all(), name
 
 
-# Rows without a contact
-
-
 @every_method
 @pytest.mark.parametrize("column", ["x0", "f0x", "f0y", "m0z"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -100,9 +97,6 @@ def test_a_batch_masks_its_bad_rows_and_keeps_the_others():
         np.testing.assert_array_equal(getattr(contacts, column.name)[4:], getattr(alone, column.name))
 
 
-# Rows with a contact
-
-
 def test_more_rows_than_are_processed_at_once():
     repeat = 20_000 // len(SWEPT) + 1
     many = [np.tile(column, repeat) for column in columns()]
@@ -164,9 +158,6 @@ def test_equation_10_is_its_integral_clipped_to_the_tip():
     assert 0 < clipped < (contacts.status == Status.OK).sum()
 
 
-# Elastic lines
-
-
 def test_elastic_lines_run_from_the_clamp_to_the_contact_and_on_to_the_tip():
     lines = planar.elastic_lines(*columns(), points=400)
     np.testing.assert_allclose(lines.curved[:, 0], np.stack([SWEPT.x0, np.zeros(25)], axis=1), atol=1e-14)
@@ -189,9 +180,6 @@ def test_elastic_lines_never_enter_the_object():
     lines = planar.elastic_lines(*columns(), points=200)
     for points in (lines.curved, lines.straight):
         assert np.linalg.norm(points - CIRCLE.center, axis=2).min() > CIRCLE.radius - 1e-12
-
-
-# Refusals
 
 
 @pytest.mark.parametrize(

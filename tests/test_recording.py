@@ -44,9 +44,6 @@ def same(a, b):
     )
 
 
-# --- round trip ---
-
-
 def test_what_was_written_is_read_bit_for_bit(tmp_path):
     recording = random_recording(
         noise_force_N=0.1 / 3,
@@ -57,9 +54,6 @@ def test_what_was_written_is_read_bit_for_bit(tmp_path):
     write_recording(recording, tmp_path / "log.csv")
     assert same(read_recording(tmp_path / "log.csv"), recording)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
-
-
-# --- what others write ---
 
 
 def test_a_recording_by_hand(tmp_path):
@@ -136,9 +130,6 @@ def test_a_rod_by_diameter_and_modulus(tmp_path):
         write(tmp_path, meta="[rod]\nlength_m = 0.05\ndiameter_m = 0.3e-3\nmodulus_Pa = 210e9\n")
     )
     assert recording.rod == Rod.wire(0.05, 0.3e-3, 210e9)
-
-
-# --- mistakes ---
 
 
 def changed(column, value):

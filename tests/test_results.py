@@ -113,9 +113,6 @@ def test_numbers_of_numpy_are_settings():
     assert (given.slices, given.friction, given.axis) == (4, "0.1:0.25", "0,0,1")
 
 
-# --- meshes of a program ---
-
-
 def test_a_mesh_in_memory_is_scanned_as_its_file():
     from_file, in_memory = scan3d.scan(CUBE, **SETTINGS), scan3d.scan(scan3d.load_mesh(CUBE), **SETTINGS)
     without_times = [{**result.report, "timings_s": None} for result in (from_file, in_memory)]
@@ -141,9 +138,6 @@ def test_a_mesh_of_trimesh_is_judged_and_stored(tmp_path):
         scan3d.scan(
             trimesh.Trimesh(*(lambda torus: (torus.vertices, torus.faces[1:]))(trimesh.creation.torus(3.0, 1.0)))
         )
-
-
-# --- folders that lack something ---
 
 
 @pytest.fixture

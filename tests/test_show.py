@@ -110,9 +110,6 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
     assert not (tmp_path / "picture.png").exists()
 
 
-# --- differences ---
-
-
 @pytest.mark.rendering
 @pytest.mark.slow
 def test_the_difference_of_two_results(folder, tmp_path, shown, call):
@@ -129,9 +126,6 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     for image in images:
         np.testing.assert_array_equal(pixels(picture), np.asarray(image))
     assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
-
-
-# --- the window ---
 
 
 @pytest.mark.rendering

@@ -69,9 +69,6 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
     assert 0 < clipped < counted
 
 
-# --- prisms and cylinders, whose slices have support functions in closed form ---
-
-
 def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     """An ellipse, whose support function is √(a² cos² + b² sin²), from a few dozen contacts."""
     a, b = 10.0, 6.0
@@ -82,9 +79,6 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     for section in stack.slices:
         assert 20 < len(section.angle) < 80
         assert SupportFunctions((section,)).at(ANGLES)[0] == pytest.approx(exact, abs=2e-3 * a)
-
-
-# --- slices with few normals ---
 
 
 @pytest.mark.parametrize(

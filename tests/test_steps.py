@@ -60,9 +60,6 @@ def test_surfaces_state_their_unit():
     assert scan3d.surface(cloud, "hull").units == "in"
 
 
-# --- help ---
-
-
 def test_the_types_of_choices_are_those_of_the_lists():
     assert typing.get_args(units.Unit) == tuple(units.UNITS_M)
     lists = {name: values for name, values in vars(choices).items() if name.isupper()}

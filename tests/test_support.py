@@ -37,8 +37,6 @@ def test_the_facets_of_a_fitted_body_lie_as_far_inside_as_its_vertices_outside(a
     assert abs(body.volume / (4 / 3 * np.pi * semi_axes.prod()) - 1) < 5e-5
 
 
-# --- bodies in any place and orientation, from contacts with inexact normals ---
-
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
 
 
@@ -116,9 +114,6 @@ def test_a_body_stands_on_its_table(table):
     assert standing.points(down)[0, 2] == pytest.approx(table, abs=1e-4)
     assert abs(free.points(down)[0, 2] - table) > 1e-3
     assert np.abs(standing.points(normals) - points).max() < np.abs(free.points(normals) - points).max()
-
-
-# --- smoothing under noise ---
 
 
 def noisy(count, sd, seed):

@@ -50,9 +50,6 @@ def residual(swept):
     return max(np.abs(values).max() for values in residuals if len(values))
 
 
-# States
-
-
 @every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0, 5.0])
 def test_states_are_equilibria(contour, friction):
@@ -124,9 +121,6 @@ def test_a_single_sample_and_empty_sweeps():
     assert planar.sweep_all([], [], samples=3) == []
 
 
-# Extreme contours
-
-
 def needle(degrees, lowest):
     angle = np.radians(degrees)
     return planar.Ellipse((1.0, 0.05), (0.0, np.hypot(np.sin(angle), np.cos(angle) / 20) + lowest), angle)
@@ -181,9 +175,6 @@ def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction)
         assert kinds == [EventKind.TOUCH_DOWN, *begins, EventKind.SNAP_OFF]
 
 
-# Events
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("sides", [4, 7, 60, *(pytest.param(n, marks=pytest.mark.trust) for n in (24, 200))])
 @pytest.mark.slow
@@ -218,9 +209,6 @@ def test_events_agree_with_the_sweep(contour):
             assert (before, after) == (Phase.TIP, Phase.TANGENTIAL)
         if kind == EventKind.TO_TIP:
             assert (before, after) == (Phase.TANGENTIAL, Phase.TIP)
-
-
-# Refusals
 
 
 @pytest.mark.parametrize(

@@ -53,9 +53,6 @@ def test_key_figures_are_bold_only_where_that_is_supported_and_wanted(
     assert found == ([HEADING, "1.3e-13 mm at most", "out"] if bold else [])
 
 
-# --- progress ---
-
-
 def shown(monkeypatch, *arguments, stream=None):
     """What a command writes to stderr, without control sequences."""
     stream = Stream() if stream is None else stream
