@@ -34,6 +34,8 @@ def well(monkeypatch):
 @pytest.mark.slow
 def test_a_scan_is_tried(monkeypatch):
     monkeypatch.setattr(canvas, "can_render", lambda: True)
+    tried = doctor._error_of
+    monkeypatch.setattr(doctor, "_error_of", lambda code: None if "import open3d" in code else tried(code))
     state = doctor.examine()
     assert state["ok"]
     assert state["scan"] == {"works": True, "why_not": None}

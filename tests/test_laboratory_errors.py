@@ -234,6 +234,14 @@ def changed(section, **entries):
             r"\[columns\.orientation\] convention must be one to three axes.*got 'xYz'",
         ),
         (changed("sensor", shows="rod on clamp"), r"\[sensor\] shows must be one of clamp-on-rod, rod-on-.*did you mean"),
+        (
+            changed("columns", force=["Fx", "Fy"], moment=["Tz"]) | {"sensor": {"euler_deg": [0, 30, 0]}},
+            r"log\.csv: fx of the clamp needs fz of the sensor as well, because \[sensor\] turns",
+        ),
+        (
+            changed("columns", wrench_in="world", moment=["", "", "Tz"]),
+            r"needs all six channels.* mx, my is missing",
+        ),
         (changed("tare", air="automatic"), r"\[tare\] air must be 'auto', 'none', or stretches in seconds"),
         (changed("tare", air=[[2.0, 1.0]]), r"\[tare\] air must be 'auto', .*; got \[2\.0, 1\.0\]"),
         (changed("filter", lowpass_hz=80), r"log\.csv: \[filter\] lowpass_hz = 80 must be below half of .* rate of 100 Hz"),
@@ -243,7 +251,7 @@ def changed(section, **entries):
         (data() | {"unit": "furlong"}, r"map\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
         ({k: v for k, v in data().items() if k != "columns"}, r"map\.toml: \[columns\] is missing; it says which columns hold"),
     ],
-    ids=range(14),
+    ids=range(16),
 )  # fmt: skip
 def test_maps(tmp_path, made, sentence):
     (tmp_path / "map.toml").write_text(to_toml(made))
