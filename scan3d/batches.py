@@ -268,11 +268,9 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
 
 def _appears(path: Path) -> bool:
     end = time.monotonic() + _PATIENCE_S
-    while not path.exists():
-        if time.monotonic() > end:
-            return False
+    while not path.exists() and time.monotonic() < end:
         time.sleep(0.1)
-    return True
+    return path.exists()
 
 
 def perform(run: Run) -> Outcome:

@@ -86,9 +86,8 @@ class PoseList:
                 f"poses: row {int(np.argmax(back)) + 2} is out of order; each sweep has approach, sweep and retract "
                 "in turn"
             )
-        samples = np.bincount(
-            np.searchsorted(first, np.flatnonzero(self.move == Move.SWEEP), side="right") - 1, minlength=len(first)
-        )
+        of_sweep = np.searchsorted(first, np.flatnonzero(self.move == Move.SWEEP), side="right") - 1
+        samples = np.bincount(of_sweep, minlength=len(first))
         if (samples < 2).any():
             raise InputError(
                 f"poses: sweep {self.sweep[first[np.argmax(samples < 2)]]} has {samples.min()} rows of the move "

@@ -84,17 +84,13 @@ def end_on_signals() -> None:
             signal.signal(number, receive)
 
 
-# Where Linux states the limit of a container.
-_CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
-
-
 def memory_bytes() -> float:
     """Memory that this process can have at most: that of the machine, of its container, or of the limit set for it."""
     limits = [float("inf")]
     with suppress(OSError, ValueError, AttributeError):  # not on every system
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with suppress(OSError, ValueError):  # "max" is no number
-        limits.append(int(_CONTAINER_LIMIT.read_text(encoding="ascii")))
+    with suppress(OSError, ValueError):  # where Linux states the limit of a container; "max" is no number
+        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
     with suppress(ImportError):
         import resource
 

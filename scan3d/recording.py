@@ -483,9 +483,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     else:
         values |= dict.fromkeys(SIX_AXES)
     values |= {name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns}
-    return replace(
-        last, sweep=np.concatenate(numbers), **values, rig=one_rig([recording.rig for recording in recordings])
-    )
+    rig = one_rig([recording.rig for recording in recordings])
+    return replace(last, sweep=np.concatenate(numbers), **values, rig=rig)
 
 
 # --- what is known in the place of a reaction that was not measured ---

@@ -32,13 +32,6 @@ if TYPE_CHECKING:
 
     from scan3d.surfaces.carved import Carved
 
-_PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
-# What contacts and bounds are those of, in the place of the body, where the diameter of a real rod is not known.
-_GROWN = (
-    "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the "
-    "map of an import or in the TOML file of the recording"
-)
-
 
 @dataclass(frozen=True, repr=False)
 class Analysis:
@@ -81,7 +74,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
     `settings` are those of the run, which the report repeats.
     """
     recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
-    unit = cloud.unit
+    unit, packages = cloud.unit, ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
     return {
         "schema": SCHEMA,
         "model": cloud.model,
@@ -89,7 +82,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "body": {"convex": cloud.convex, "parts": int(surface.body_count)},
         "settings": dict(settings),
         "source": dict(recording.source),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "rod": {
             "length_m": recording.rod.length_m,
             "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
@@ -218,6 +211,10 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud, recording = analysis.certificate.bound, analysis.bounds, analysis.cloud, analysis.recording
     is_real = recording.source.get("kind") != "simulation"
+    grown = (  # what contacts and bounds are those of, in the place of the body
+        "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
+        "of an import or in the TOML file of the recording"
+    )
     left = cloud.left_out
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
@@ -241,7 +238,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "table": cloud.table,
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
-        "grown": _GROWN if is_real and not recording.rod.diameter_m else None,
+        "grown": grown if is_real and not recording.rod.diameter_m else None,
         "parts": bounds.parts() | _off(cloud, bounds),
         "volume": list(bounds.volume),
     }
@@ -314,13 +311,10 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     lower, upper = bounds.support(directions)
     size = np.ptp(np.asarray(surface.vertices), axis=0)
     least, largest = np.maximum(lower[:3] + lower[3:], 0.0), upper[:3] + upper[3:]
-    extents = [
-        measured(f"extent along {axis}", float(size[k]), float(least[k]), float(largest[k]))
-        for k, axis in enumerate("xyz")
-    ]
+    columns = zip("xyz", size.tolist(), least.tolist(), largest.tolist(), strict=True)
     low, high = bounds.volume
     return [
-        *extents,
+        *(measured(f"extent along {axis}", *values) for axis, *values in columns),
         measured("volume", float(surface.volume), float(low), float(high), "³"),
         measured("distance of the surface from the body", 0.0, 0.0, float(certified.bound)),
     ]
@@ -403,10 +397,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("slices", slices))
     median = data["friction"]["estimated_median"]
     if median is not None:
-        given = data["friction"]["set"]
-        rows.append(
-            ("friction", f"{number(median)} (median, estimated from touch{f'; set: {given}' if given else ''})")
-        )
+        given = f"; set: {data['friction']['set']}" if data["friction"]["set"] else ""
+        rows.append(("friction", f"{number(median)} (median, estimated from touch{given})"))
     if counts["light"]:
         rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
     if (left_out := data["certificate"].get("left_out")) and left_out["rows"]:
@@ -416,11 +408,9 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     radius = data.get("rod", {}).get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]
-        left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
+        left, moved = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0), length(radius["moved"], unit)
         leaves = f", which leaves errors up to {length(left, unit, digits=1, up=True)}" if left else ""
-        rows.append(
-            ("rod's radius", f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line{leaves}")
-        )
+        rows.append(("rod's radius", f"contacts moved by {moved} from the rod's centre line{leaves}"))
     if rig := data.get("calibration"):
         allowed_for = length(data["certificate"]["parts"]["systematic"], data["certificate"]["unit"], up=True)
         exact = ", ".join(rig["taken_as_exact"])
@@ -484,13 +474,10 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
     if (data.get("body") or {}).get("convex", True):
         return []
     counts, coverage = data["counts"], data["coverage"]
-    rows = [
-        ("second contacts", f"{counts['second_contacts']} samples left out, whose rod touched at another place as well")
-    ]
-    if counts["hidden_second_contacts"]:
-        rows.append(
-            ("hidden", f"{counts['hidden_second_contacts']} contacts are wrong because a second one stayed hidden")
-        )
+    left_out, hidden = counts["second_contacts"], counts["hidden_second_contacts"]
+    rows = [("second contacts", f"{left_out} samples left out, whose rod touched at another place as well")]
+    if hidden:
+        rows.append(("hidden", f"{hidden} contacts are wrong because a second one stayed hidden"))
     unknown = coverage["unknown"]
     if "known" in coverage:
         shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"

@@ -453,11 +453,11 @@ class Result(Shown):
     def _scene(self) -> Scene:
         if self.analysis is not None:
             return pipeline.to_scene(self.analysis)
-        mesh = find_truth(self._place, self.report)
+        scene, mesh = self._files, find_truth(self._place, self.report)
+        if mesh is None:
+            return scene
         hull = bool((self.report.get("mesh") or {}).get("hull"))
-        return dataclasses.replace(
-            self._files, truth=None if mesh is None else load_mesh(mesh, hull=hull, unit=self._files.unit)
-        )
+        return dataclasses.replace(scene, truth=load_mesh(mesh, hull=hull, unit=scene.unit))
 
 
 @shows_settings
@@ -559,7 +559,16 @@ def scene_of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene
     return Scene(**{"name": Path(str(origin)).stem, **parts})
 
 
-def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
+def read_scene(path: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
+    """The scene in a scan's folder, with the report there, of a cloud or a surface in a PLY, or of a mesh."""
+    if path.is_dir():
+        report = read_report(path)
+        return scene_of_folder(path, report, unit), report
+    scene = read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+    return scene or Scene(path.stem, unit, surface=read_mesh(path, unit)), {}
+
+
+def find_truth(folder: Path, report: Mapping[str, Any]) -> Path | None:
     """The mesh file that a report names, None if it is not found unchanged.
 
     It is looked for in the folder, beside it, in the current directory, in the folders there, and where the demonstration's is.
@@ -573,7 +582,7 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
     for path in (place / name for place in places):
         with suppress(OSError, ValueError):  # a name that can't be one of a file, or a file that can't be read
             if path.is_file() and sha256(path) == digest:
-                return str(path)
+                return path
     return None
 
 
@@ -644,16 +653,9 @@ def other_surface(given: Any, unit: str, file_unit: str = "mm") -> trimesh.Trime
 def _read(path: Path, unit: str) -> tuple[Any, str]:
     if not path.exists():
         raise InputError(f"there is no {path} to compare the surface with: {_WANTED}")
-    if path.is_dir():
-        scene: Any = scene_of_folder(path, read_report(path), unit)
-    elif path.suffix.lower() == ".ply":
-        scene = read_ply_scene(path, unit)
-    elif path.suffix[1:].lower() in FORMATS:
-        scene = None
-    else:
+    if not path.is_dir() and path.suffix[1:].lower() not in FORMATS:
         raise InputError(f"{path} has no surface to compare with: {_WANTED}")
-    if scene is None:
-        return read_mesh(path, unit), unit
+    scene, _ = read_scene(path, unit)
     if scene.surface is None:
         raise InputError(f"{path} has no surface to compare with, but contacts only: {_WANTED}")
     return scene.surface, scene.unit

@@ -122,9 +122,7 @@ class Rod:
     @property
     def is_simple(self) -> bool:
         """Whether it is straight, uniform, weightless and rigidly clamped."""
-        return (
-            not any(self.curvatures) and not self.weight_N and not self.clamp_compliance_rad_per_Nm and not self.varies
-        )
+        return not (any(self.curvatures) or self.weight_N or self.clamp_compliance_rad_per_Nm or self.varies)
 
     @property
     def varies(self) -> bool:
@@ -205,9 +203,8 @@ class Rod:
         from scan3d.spatial.march import SpatialRod
 
         bend_z, bend_x, twist = (self.length_m * part for part in self.curvatures)
-        return SpatialRod(
-            self.profile, (bend_z, bend_x, twist), compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
-        )
+        compliance = self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
+        return SpatialRod(self.profile, (bend_z, bend_x, twist), compliance=compliance)
 
     def __repr__(self) -> str:
         given = ((entry.name, getattr(self, entry.name), entry.default) for entry in fields(self))

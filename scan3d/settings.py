@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 SLICES_FOR_TOLERANCE = 1024
 """Slices along each axis at most, where a tolerance is given and their number is not."""
-# The types of settings as error messages name them.
-_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -133,19 +131,15 @@ def shows_settings(function: _Function) -> _Function:
     `help` and completion show them with their choices or types, their defaults and what they mean.
     """
     shown = inspect.signature(function)
+    types = {name: str(given.__forward_arg__) for name, given in Given.__annotations__.items()}
+    kind = inspect.Parameter.KEYWORD_ONLY
     keywords = [
-        inspect.Parameter(
-            one.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=one.default,
-            annotation=str(Given.__annotations__[one.name].__forward_arg__),
-        )
-        for one in fields(Settings)
+        inspect.Parameter(one.name, kind, default=one.default, annotation=types[one.name]) for one in fields(Settings)
     ]
     others = [parameter for parameter in shown.parameters.values() if parameter.name != "settings"]
     function.__signature__ = shown.replace(parameters=[*others, *keywords])  # type: ignore[attr-defined]
-    types = get_type_hints(Settings)
-    choices = {name: f": {one_of(get_args(type))}" for name, type in types.items() if get_origin(type) is Literal}
+    hints = get_type_hints(Settings).items()
+    choices = {name: f": {one_of(get_args(type))}" for name, type in hints if get_origin(type) is Literal}
     meanings = "\n".join(
         f"    {one.name}{choices.get(one.name, '')} (default {one.default})\n        {one.metadata['meaning']}"
         for one in fields(Settings)
@@ -231,7 +225,8 @@ def _typed(source: str, name: str, value: Any, kind: type) -> Any:
     if kind is float and is_number:
         value = to_float(value)
     if type(value) is not kind:
-        raise InputError(f"{source}: {name} must be {_KINDS[kind]}, got {value!r}")
+        expected = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}[kind]
+        raise InputError(f"{source}: {name} must be {expected}, got {value!r}")
     return value
 
 

@@ -34,10 +34,6 @@ def check_unit(unit: str | None) -> None:
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
 
 
-# Units that are taken for one another, the longer one first, the likeliest pairs first.
-_CONFUSED = (("m", "mm"), ("in", "mm"), ("cm", "mm"), ("m", "in"), ("m", "cm"), ("in", "cm"))
-
-
 def unit_remark(
     extents: Iterable[float], others: Iterable[float], names: tuple[str, str] = ("first", "second")
 ) -> str | None:
@@ -46,7 +42,8 @@ def unit_remark(
     if not (0 < first < math.inf and 0 < second < math.inf):
         return None
     ratio = max(first, second) / min(first, second)
-    for longer, shorter in _CONFUSED:
+    # those that are taken for one another, the longer one first, the likeliest pairs first
+    for longer, shorter in (("m", "mm"), ("in", "mm"), ("cm", "mm"), ("m", "in"), ("m", "cm"), ("in", "cm")):
         factor = UNITS_M[longer] / UNITS_M[shorter]
         if abs(ratio / factor - 1) < 0.05:
             large, small = names if first > second else names[::-1]

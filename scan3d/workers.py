@@ -16,8 +16,6 @@ from typing import Any
 
 from scan3d.processes import ALGEBRA, end, undone_if_ended
 
-# What libraries read when they start: the number of threads of linear algebra, of OpenMP and of Mesa's software renderer.
-_THREADS = (*ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS")
 _STARTING = threading.Lock()
 
 
@@ -113,7 +111,8 @@ class Workers(Executor):
 
 
 def _get_ready() -> None:
-    for name in _THREADS:
+    # what libraries read when they start, of linear algebra, of OpenMP and of Mesa's software renderer
+    for name in (*ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     # Ctrl-C in a terminal reaches all its processes: the one that started this one ends it
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -80,7 +80,7 @@ def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_
     for body, found in ((None, None), (CUBE, None), (EGG, "parts/egg.stl")):
         if body:
             (tmp_path / "parts" / "egg.stl").write_bytes(body.read_bytes())
-        assert results.find_truth(tmp_path / "elsewhere", report) == found
+        assert results.find_truth(tmp_path / "elsewhere", report) == (found and Path(found))
     assert results.find_truth(tmp_path / "elsewhere", {}) is None
 
 

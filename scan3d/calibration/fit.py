@@ -410,9 +410,8 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     enlarged = max(1.0, total if spoiled else max(scatter))
     both = rows.used[:, :2].all(axis=1)
     consistency = float((white[both, :2] ** 2).mean()) if both.any() else 1.0
-    return Checked(
-        enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled, not (any(deviates) or rough)
-    )
+    fits = not (any(deviates) or rough)
+    return Checked(enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled, fits)
 
 
 def _above_one(square: Array) -> float:

@@ -223,9 +223,8 @@ def unloaded(
             f"the recording has {air.sum()} rows in the air, and a calibration needs 12: let each sweep begin and end "
             "some rows before and after the rod touches the reference"
         )
-    quiet = [
-        run for rows in runs for run in np.split(rows[air[rows]], np.flatnonzero(np.diff(rows[air[rows]]) > 1) + 1)
-    ]
+    free = [rows[air[rows]] for rows in runs]
+    quiet = [run for rows in free for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)]
     quick = np.maximum(np.maximum(known, _noise_of_runs(wrench, quiet, channels, np.mean)), least)
     for name in _models(model, sweep, air):
         basis = _basis(name, sweep)

@@ -224,9 +224,8 @@ def calibrate(
     rod, sentences = _rod(nominal, rig), premises.sentences
     if recording.gravity is not None and not recording.gravity.tared:
         place = nominal.length_m**2 * premises.covariance[SENSOR:PLACE, SENSOR:PLACE]
-        weight = weighed(
-            recording, rod, Frame(nominal.length_m * rig.sensor, rig.turn), rig.clamp_axes()[0], air, place
-        )
+        sensor = Frame(nominal.length_m * rig.sensor, rig.turn)
+        weight = weighed(recording, rod, sensor, rig.clamp_axes()[0], air, place)
         names, values = (*names, "weight_N"), np.append(values, weight.weight_N)
         # a weight that moves contacts by a thousandth of the rod at most
         deviations, limits = np.append(deviations, weight.sd_N), np.append(limits, 0.01 * nominal.force_unit_N)
@@ -247,12 +246,8 @@ def calibrate(
         well &= [name.startswith(("tare", "drift", "weight")) for name in names]
     touched = {"kind": "plane", "normal": rig.reference.axes[:, 2].tolist(), "offset_mm": found.get("plane_offset_mm")}
     if isinstance(rig.reference, Sphere):
-        centre = 1000 * nominal.length_m * rig.reference.origin
-        touched = {
-            "kind": "sphere",
-            "diameter_mm": 1000 * rig.reference.diameter_m,
-            "position_mm": centre.tolist(),
-        }
+        centre = (1000 * nominal.length_m * rig.reference.origin).tolist()
+        touched = {"kind": "sphere", "diameter_mm": 1000 * rig.reference.diameter_m, "position_mm": centre}
     return Calibration(
         rod=rod,
         sensor_position_m=nominal.length_m * rig.sensor,
@@ -596,15 +591,13 @@ def _covariance(section: Section, names: tuple[str, ...]) -> tuple[Array, tuple[
     """The covariance (k, k) of quantities (k,), and whether they are well determined."""
     covariance, well = np.zeros((len(names), len(names))), np.zeros(len(names), dtype=bool)
     listed, matrix, good = section.texts("quantities"), section.any("matrix", []), section.any("well", [])
-    wrong = section.error(
-        "", "must have quantities of [quantities], and a row of numbers, a column and true or false for each"
-    )
+    needed = "must have quantities of [quantities], and a row of numbers, a column and true or false for each"
     try:
         rows = np.array([names.index(name) for name in listed], dtype=int)
         covariance[np.ix_(rows, rows)] = np.array(matrix, dtype=float).reshape(len(rows), len(rows))
         well[rows] = good
     except (ValueError, TypeError):
-        raise wrong from None
+        raise section.error("", needed) from None
     return covariance, tuple(map(bool, well))
 
 

@@ -406,9 +406,8 @@ def rigged(recording: Any, rig: Path | None) -> Any:
 
 def _quantities(found: Any) -> list[str]:
     lines = [f"{'quantity':24} {'value ± expanded U':>24}  determined"]
-    for name, value, deviation, well in zip(
-        found.names, found.values, found.standard_deviations, found.well, strict=True
-    ):
+    columns = found.names, found.values, found.standard_deviations, found.well
+    for name, value, deviation, well in zip(*columns, strict=True):
         if deviation == float("inf"):
             lines.append(f"{name:24} {number(value, 6):>24}  no, nominal")
         else:

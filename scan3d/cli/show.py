@@ -95,7 +95,7 @@ def show(
     if screenshot:
         views.check_path(screenshot)
     if movie:
-        views.check_movie_path(movie)
+        views.check_path(movie, views.MOVIES, "movie")
     inputs = {"file": path, "true body": truth, "other surface": against}
     for option, file in (("--html", html), ("--movie", movie), ("--screenshot", screenshot)):
         if file:
@@ -148,24 +148,18 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
 def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
     from scan3d import results
-    from scan3d.files.meshes import load_mesh, read_mesh
-    from scan3d.pictures.parts import Scene
+    from scan3d.files.meshes import load_mesh
 
     if not path.exists():
         raise InputError(
             f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
         )
-    if path.is_dir():
-        report = results.read_report(path)
-        scene = results.scene_of_folder(path, report, unit)
-        found = None if truth else results.find_truth(path, report)
-        truth = Path(found) if found else truth
-        hull = hull or bool((report.get("mesh") or {}).get("hull"))
-    elif path.suffix.lower() in (".csv", ".parquet"):
+    if path.suffix.lower() in (".csv", ".parquet") and not path.is_dir():
         scene = _recording_scene(path)
     else:
-        stored_scene = results.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
-        scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path, unit))
+        scene, report = results.read_scene(path, unit)
+        truth = truth or results.find_truth(path, report)
+        hull = hull or bool((report.get("mesh") or {}).get("hull"))
     return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull, unit=scene.unit)) if truth else scene
 
 

@@ -78,18 +78,15 @@ def _options() -> Any:
     made: list[tuple[str, Any, Any]] = []
     for one in fields(Settings):
         shown: Any = False if one.default is False else lambda _, default=one.default: default
-        parameter = Parameter(
-            help=one.metadata["meaning"], show_default=shown, allow_leading_hyphen=kinds[one.name] is str
-        )
-        kind = Number if kinds[one.name] is int else kinds[one.name]
+        kind, meaning = Number if kinds[one.name] is int else kinds[one.name], one.metadata["meaning"]
+        parameter = Parameter(help=meaning, show_default=shown, allow_leading_hyphen=kind is str)
         if kind is bool:
             made.append((one.name, Annotated[bool, parameter], False))
         else:
             made.append((one.name, Annotated[kind | None, parameter], field(default=None)))
     group = Group("Settings", help="The command line takes precedence over --config, and --config over the defaults.")
-    return Parameter(name="*", group=group)(
-        make_dataclass("Options", made, bases=(_Chosen,), namespace={"__module__": __name__}, frozen=True)
-    )
+    options = make_dataclass("Options", made, bases=(_Chosen,), namespace={"__module__": __name__}, frozen=True)
+    return Parameter(name="*", group=group)(options)
 
 
 if TYPE_CHECKING:
@@ -98,8 +95,6 @@ else:
     Options = _options()
 
 
-# The key figure of a value: the text before the first comma or parenthesis.
-_KEY = re.compile(r"[^,(]*[^,( ]")
 # Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
 # separators, the marks that turn the direction of writing (Unicode's "Trojan source"), and surrogates, which are no characters.
 _OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -163,9 +158,9 @@ def table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
     lines = [f"{bold}{printable(heading)}{off}"] if heading else []
     for label, value in rows:
         shown = printable(value)
-        key = _KEY.match(shown)
+        key = re.match(r"[^,(]*[^,( ]", shown)  # the key figure ends at the first comma or parenthesis
         end = key.end() if key else 0
-        lines.append(f"{label:{18}} {bold}{shown[:end]}{off}{shown[end:]}")
+        lines.append(f"{label:18} {bold}{shown[:end]}{off}{shown[end:]}")
     return "\n".join(lines)
 
 

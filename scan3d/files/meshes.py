@@ -179,9 +179,7 @@ def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, flo
     assert facets is not None  # the hull of a body is one closed surface
     planes = qhull.equations * [1, 1, 1, -1]
     dent, deepest = deepest_dent(points, faces, facets, planes, 0.01 * hulls.DENT_TOLERANCE)
-    distinct = triangles.distinct_rows(np.sort(faces, axis=1))[
-        0
-    ]  # those with the same vertices as another one count once
+    distinct = triangles.distinct_rows(np.sort(faces, axis=1))[0]  # those with the same vertices count once
     covered = float(triangles.areas(points[faces[distinct]]).sum() / triangles.areas(points[facets]).sum())
     return facets, dent, deepest, covered
 
@@ -192,10 +190,8 @@ def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None
     largest = float(np.abs(in_file).max())
     with np.errstate(all="ignore"):  # beyond the range of float32
         single, step = in_file.astype(np.float32), float(np.spacing(np.float32(largest)))
-    is_coarse = (
-        step > hulls.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
-    )
-    if is_coarse and np.abs(single - in_file).max() <= 1e-12 * largest:
+    is_coarse = step > hulls.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0))
+    if is_coarse and size <= np.sqrt(3) * step * scale and np.abs(single - in_file).max() <= 1e-12 * largest:
         raise InputError(
             f"{name} has lost its shape in float32, whose numbers are {step:.2g} apart at its coordinates of up to "
             f"{largest:.6g}; move the body to the origin and export it again, or export it in double precision"
@@ -208,11 +204,8 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
     Where edges are not those of a closed surface, vertices are merged that agree in float32, as exports leave them at seams,
     and faces are turned as their neighbours.  Raises InputError if the surface stays open.
     """
-    attempts = [
-        np.arange(len(vertices)),
-        triangles.representatives(vertices, 2 * triangles.distance_of_readers(vertices)),
-    ]
-    for chosen in attempts:
+    merged = triangles.representatives(vertices, 2 * triangles.distance_of_readers(vertices))
+    for chosen in (np.arange(len(vertices)), merged):
         used, kept = triangles.without_unused(triangles.collapsed(faces, chosen))
         kept = hulls.turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
@@ -332,10 +325,8 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
 
 def _declared_faces(kind: str, data: bytes) -> int:
     """Faces in the header of a PLY or OFF: of one in text that is cut off, trimesh would return a part of the body."""
-    pattern = {"ply": rb"(?m)^element face (\d{1,18})\b", "off": rb"\s*\w*OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d{1,18})\b"}.get(
-        kind
-    )
-    found = re.search(pattern, data[: 1 << 16]) if pattern else None
+    patterns = {"ply": rb"(?m)^element face (\d{1,18})\b", "off": rb"\s*\w*OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d{1,18})\b"}
+    found = re.search(patterns[kind], data[: 1 << 16]) if kind in patterns else None
     return int(found[1]) if found else 0
 
 

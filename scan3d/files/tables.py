@@ -517,12 +517,12 @@ def _hdf5(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
 def _errors_named(path: Path, whose: str, advice: str) -> Iterator[None]:
     try:
         yield
-    except (InputError, OSError) as error:
-        if isinstance(error, InputError) or error.errno:
-            raise
-        raise InputError(f"can't read {path.name} as a file of {whose} format: {error}; {advice}") from None
+    except InputError:
+        raise
     # the libraries raise various errors for damaged files
     except Exception as error:
+        if isinstance(error, OSError) and error.errno:
+            raise
         what = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"can't read {path.name} as a file of {whose} format: {what}; {advice}") from None
 

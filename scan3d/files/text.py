@@ -285,13 +285,11 @@ def rows_as_text(columns: Iterable[NDArray[Any]], separator: str = ",", start: s
 
 def to_toml(data: Mapping[str, Any]) -> str:
     """TOML of plain values and tables."""
-    lines = [
-        f"{_toml_key(key)} = {_toml_value(value)}" for key, value in data.items() if not isinstance(value, Mapping)
-    ]
-    for key, value in data.items():
-        if isinstance(value, Mapping):
-            lines += ["", f"[{_toml_key(key)}]"]
-            lines += [f"{_toml_key(name)} = {_toml_value(item)}" for name, item in value.items()]
+    tables = {key: value for key, value in data.items() if isinstance(value, Mapping)}
+    lines = [f"{_toml_key(key)} = {_toml_value(value)}" for key, value in data.items() if key not in tables]
+    for key, table in tables.items():
+        lines += ["", f"[{_toml_key(key)}]"]
+        lines += [f"{_toml_key(name)} = {_toml_value(item)}" for name, item in table.items()]
     return "\n".join(lines) + "\n"
 
 

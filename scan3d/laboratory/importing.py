@@ -132,9 +132,8 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     own stretches in the air, because it changes from day to day.  Raises InputError as `scan3d.read_rig`.
     """
     found = rig if isinstance(rig, Calibration) else read_rig(rig)
-    sensor_before, clamp_before = (
-        read_frame(Section("the rig", found.map_frames.get(title, {}), f"map.{title}")) for title in ("sensor", "clamp")
-    )
+    sections = (Section("the rig", found.map_frames.get(title, {}), f"map.{title}") for title in ("sensor", "clamp"))
+    sensor_before, clamp_before = (read_frame(section) for section in sections)
     sensor, clamp = found.frames()
     sensor, clamp = sensor_before.within(sensor), clamp.within(clamp_before)
     used = {
@@ -300,9 +299,8 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
         with contextlib.suppress(InputError):
             sensed = _levelled(log, clock, find_air(log.wrench, clock, ~swings, where))
             swings = signals.ringing(sensed.wrench, sensed.noise, run)
-    return sensed._replace(
-        wrench=np.where(swings[:, None], 0.0, sensed.wrench), air=sensed.air & ~swings, ringing=swings
-    )
+    quiet = np.where(swings[:, None], 0.0, sensed.wrench)
+    return sensed._replace(wrench=quiet, air=sensed.air & ~swings, ringing=swings)
 
 
 def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sensed:

@@ -254,11 +254,11 @@ def _transducer(
                 "matrix", "and offset belong to the columns that [columns] signals names, which is missing"
             )
         return (), ()
-    rows = section.any("matrix")
-    right, count = isinstance(rows, (list, tuple)) and len(rows) in (3, 6), len(signals)
-    if not right or not all(
-        isinstance(row, (list, tuple)) and len(row) == count and all(map(is_finite, row)) for row in rows
-    ):
+    rows, count = section.any("matrix"), len(signals)
+    right = (
+        isinstance(rows, (list, tuple)) and len(rows) in (3, 6) and all(isinstance(row, (list, tuple)) for row in rows)
+    )
+    if not right or not all(len(row) == count and all(map(is_finite, row)) for row in rows):
         raise section.error(
             "matrix",
             f"must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with {count} numbers, one for "
@@ -402,9 +402,8 @@ def guess_map(path: str | Path) -> FirstMap:
         force = force[:2]
     if None in moment and moment[2] is not None:
         moment = moment[2:]
-    columns = [
-        f"{entry} = {_toml(name)}" for entry, words in _WORDS.items() if (name := _first(table, words)) is not None
-    ]
+    logged = {entry: _first(table, words) for entry, words in _WORDS.items()}
+    columns = [f"{entry} = {_toml(name)}" for entry, name in logged.items() if name is not None]
     if re.search("actualtcpforce0$|ofexthatk0$", _bare(str(force[0]))):
         columns.append('wrench_in = "world"             # as the robot\'s manual says')
     angles, orientation = _found_orientation(table, pose[3:], left)
@@ -416,9 +415,8 @@ def guess_map(path: str | Path) -> FirstMap:
         columns.append(f"{entry} = {_toml(named)}")
         if entry == "position":
             columns.append(f"orientation = {orientation}")
-    time = _first(table, _WORDS["time"])
     quantities = [
-        ("time", [time], _unit_of_time(table, time)),
+        ("time", [logged["time"]], _unit_of_time(table, logged["time"])),
         ("length", position, "m"),
         ("angle", angles, "rad" if "rotvec" in orientation else "deg"),
         ("force", force, "N"),

@@ -426,7 +426,5 @@ def _mark(found: Mask, wrench: Array, step: int, variance: float) -> None:
         swings &= left < 0.02 * xx + 1.5 * share * (1 + a**2 + b**2)
     known = np.cumsum(np.pad(found, (1, 0)))
     start = np.flatnonzero(swings & (known[_WINDOW * step :] == known[: -_WINDOW * step]))
-    inside = np.bincount(start, minlength=len(wrench) + 1) - np.bincount(
-        start + _WINDOW * step, minlength=len(wrench) + 1
-    )
-    found |= np.cumsum(inside[:-1]) > 0
+    begins, ends = (np.bincount(rows, minlength=len(wrench) + 1) for rows in (start, start + _WINDOW * step))
+    found |= np.cumsum(begins - ends)[:-1] > 0

@@ -224,9 +224,8 @@ def show_canvas(
     axes.imshow(image, extent=(0, width, 0, height), interpolation="none", aspect="auto")
     axes.set_axis_off()
     if scaled:
-        below = figure.add_axes(
-            (left / pixels[0], place[1] * sheet.dpi / pixels[1], width / pixels[0], strip * sheet.dpi / pixels[1])
-        )
+        low, high = np.array([place[1], strip]) * sheet.dpi / pixels[1]
+        below = figure.add_axes((left / pixels[0], low, width / pixels[0], high))
         below.set_axis_off()
         below.set_xlim(0, place[2])
         below.set_ylim(0, strip)

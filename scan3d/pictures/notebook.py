@@ -9,7 +9,6 @@ import base64
 import html
 import io
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -129,14 +128,10 @@ def scene_image(
         if view not in WITH_OTHER:
             raise InputError(f"surfaces are compared in the views {one_of(WITH_OTHER)}, got {view!r}")
         scene = scene.against(against)
-    return _written(lambda: views.figure(scene, view, color, drawn), path)
-
-
-def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Image:
     from PIL import Image as Pillow
 
     with own_style():
-        figure = draw()
+        figure = views.figure(scene, view, color, drawn)
         if path is not None:
             with atomic(Path(path), "path") as place:
                 save(figure, place)

@@ -26,12 +26,6 @@ from scan3d.pictures.parts import Scene
 from scan3d.recording import Recording
 from scan3d.units import FORCES, MOMENTS, UNITS, UNITS_M, reaction_unit, unit_symbol
 
-# The scripts in the order in which they run: one script, whose parts see each other's names.
-_SCRIPTS = ("view", "layers", "player", "tools", "main")
-
-# Key figures that are sentences, and are shown when they are asked for.
-PREMISES = ("assumed", "tested")
-
 
 def page(scene: Scene) -> bytes:
     """The page (HTML, UTF-8) of a scene: its layers, colours by values with scales and histograms, a player of its sweeps.
@@ -56,14 +50,16 @@ def page(scene: Scene) -> bytes:
     }
     if parts.has_rods(scene):
         data["player"] = player(scene, center)
-    figures = [row for row in scene.key_figures if row[0] not in PREMISES]
-    premises = [row for row in scene.key_figures if row[0] in PREMISES]
-    shown = _table(figures)
+    # sentences are shown when they are asked for
+    premises = [row for row in scene.key_figures if row[0] in ("assumed", "tested")]
+    shown = _table([row for row in scene.key_figures if row not in premises])
     if premises:
         shown += f"<details><summary>what this assumes</summary>{_table(premises)}</details>"
     # "</script>" within the data would end the script element that contains them
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    script = '"use strict";\n' + "".join(_part(f"page_{name}.js") for name in _SCRIPTS)
+    # one script, whose parts see each other's names, in the order in which they run
+    parts_of_script = (_part(f"page_{name}.js") for name in ("view", "layers", "player", "tools", "main"))
+    script = '"use strict";\n' + "".join(parts_of_script)
     # the browser runs the script with this hash and no other
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     filled = {"NAME": html.escape(scene.name), "KEYFIGURES": shown, "DATA": text, "STYLE": _part("page.css")}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import planar
 from scan3d.arrays import Array, evenly, weighted_quantiles
-from scan3d.choices import CHARTS, VIEWS
+from scan3d.choices import CHARTS, VIEWS, one_of
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
@@ -38,11 +38,13 @@ _MARGIN, _BESIDE = 0.8, 8.0
 _FORWARD = 0.01
 
 
-def check_path(path: str | Path) -> Path:
-    """The path of a picture.  Raises InputError for an ending other than those in `PICTURES`."""
+def check_path(path: str | Path, endings: tuple[str, ...] = PICTURES, what: str = "picture") -> Path:
+    """The path of a picture, or of what else has these endings.  Raises InputError for others, and for .mp4 without ffmpeg."""
     path = Path(path)
-    if path.suffix.lower() not in PICTURES:
-        raise InputError(f"a picture is written as {', '.join(PICTURES[:-1])} or {PICTURES[-1]}, got {path.name!r}")
+    if path.suffix.lower() not in endings:
+        raise InputError(f"a {what} is written as {one_of(endings)}, got {path.name!r}")
+    if path.suffix.lower() == ".mp4":
+        _ffmpeg()
     return path
 
 
@@ -420,23 +422,13 @@ MARK = b"scan3d"
 Image = NDArray[np.uint8]
 
 
-def check_movie_path(path: str | Path) -> Path:
-    """The path of a movie.  Raises InputError for an ending other than those in `MOVIES`, and for .mp4 without ffmpeg."""
-    path = Path(path)
-    if path.suffix.lower() not in MOVIES:
-        raise InputError(f"a movie is written as {' or '.join(MOVIES)}, got {path.name!r}")
-    if path.suffix.lower() == ".mp4":
-        _ffmpeg()
-    return path
-
-
 def movie(scene: Scene, path: str | Path, frames: int = 8 * _PER_SECOND) -> None:
     """Write a movie (.gif or .mp4) of the body as it grows, with so many frames; a GIF of 96 frames has about a megabyte.
 
     Raises InputError for an unknown ending, where the scene has no contacts, where nothing can be rendered, and for an .mp4
     without imageio-ffmpeg.
     """
-    path = check_movie_path(path)
+    path = check_path(path, MOVIES, "movie")
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with own_style():
         write(path, _frames_of_movie(scene.in_shown_unit(), frames))

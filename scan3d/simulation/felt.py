@@ -213,9 +213,8 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
     """The contour (m, 2) of each sweep's slice in the frame of its clamp at the first place, in rod lengths."""
     outlines: list[Array] = [np.empty((0, 2))] * len(tracks)
     frames = np.array([track.axes[0] for track in tracks])
-    _, first, group = np.unique(
-        np.round(frames, 12).reshape(len(tracks), -1), axis=0, return_index=True, return_inverse=True
-    )
+    rows = np.round(frames, 12).reshape(len(tracks), -1)
+    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     for k, row in enumerate(first):
         members = np.flatnonzero(group.reshape(-1) == k)
         start = np.array([tracks[i].position[0] @ frames[row].T for i in members])
@@ -405,9 +404,8 @@ def _outline(body: RoundedPolyhedron, height: float, radius: float, step: float)
     joints = vertex[at_end, row], _normals(body, edge[row], turn[ended])
     parts = [body.vertices[:, joints[0]] + radius * joints[1]]
     # the arcs between these places
-    places = np.sort(
-        np.concatenate([np.zeros((1, len(edge))), np.where(ended, turn, 0.0).reshape(4, -1), angle[None]]), axis=0
-    )
+    ends_of_arcs = np.where(ended, turn, 0.0).reshape(4, -1)
+    places = np.sort(np.concatenate([np.zeros((1, len(edge))), ends_of_arcs, angle[None]]), axis=0)
     first, last = places[:-1], places[1:]
     slope = body.direction[2, edge] * body.length[edge]
     middle = (height - ends[0, edge] - radius * _rise(rise, across, (first + last) / 2)) / np.where(slope, slope, 1.0)
@@ -418,9 +416,8 @@ def _outline(body: RoundedPolyhedron, height: float, radius: float, step: float)
     along = (height - ends[0, edge[part]] - radius * _rise(rise[part], across[part], turn)) / slope[part]
     chosen = edge[part]
     span = body.length[chosen] * body.direction[:, chosen]
-    parts.append(
-        body.vertices[:, body.tail[chosen]] + np.clip(along, 0, 1) * span + radius * _normals(body, chosen, turn)
-    )
+    on_edge = body.vertices[:, body.tail[chosen]] + np.clip(along, 0, 1) * span
+    parts.append(on_edge + radius * _normals(body, chosen, turn))
     parts.append(_about_vertices(body, height, radius, step, *joints))
     return np.concatenate(parts, axis=1)[:2].T
 

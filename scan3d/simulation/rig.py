@@ -380,10 +380,7 @@ def read_faults(path: str | Path) -> Faults:
 
 
 def _size(section: Section, prefix: str = "") -> Size:
-    force, moment, fraction = (
-        section.number(prefix + key, 0.0, at_least=0) for key in ("force_N", "moment_Nm", "fraction")
-    )
-    return Size(force, moment, fraction)
+    return Size(*(section.number(prefix + key, 0.0, at_least=0) for key in Size._fields))
 
 
 def _place(section: Section) -> Place:

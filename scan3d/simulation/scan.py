@@ -413,19 +413,17 @@ class AxisScan:
         if not others:
             return contour
         behind = min(others, key=lambda j: abs(self.heights[j] - self.heights[i]))
-        (centre, size), (before, size_before) = (
-            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.outline(behind))
-        )
+        polygons = (contour, self.outline(behind))
+        (centre, size), (before, size_before) = ((one.mean(axis=0), np.ptp(one, axis=0)) for one in polygons)
         ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
         scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
         return centre + ahead * (centre - before) + scaled * (contour - centre)
 
     def _lines(self, i: int, directions: Array, *, first: bool = False) -> list[BaseLine]:
         """Base lines of sweeps of slice i from some directions: with the `first` ones, nearer and farther ones."""
-        outline, near = self.outline(i), self.plan.clearance
-        clearances = (
-            base_clearances(self.plan, len(directions)) if first and not self.convex else [[near]] * len(directions)
-        )
+        outline, clearances = self.outline(i), [[self.plan.clearance]] * len(directions)
+        if first and not self.convex:
+            clearances = base_clearances(self.plan, len(directions))
         return [
             base_line(outline, angle, clearance * self.length)
             for angle, several in zip(directions, clearances, strict=True)
