@@ -72,12 +72,12 @@ def check_readers(surface, folder, endings=(".ply", ".stl", ".obj", ".glb", ".vt
 @pytest.mark.parametrize(
     ("body", "method", "plan"),
     [
-        (cone, "bracket", {}),
-        pytest.param(drop, "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(oblique_cone, "bracket", {}, marks=pytest.mark.slow),
+        pytest.param(cone, "bracket", {}, marks=pytest.mark.trust),
+        pytest.param(drop, "bracket", {}, marks=pytest.mark.trust),
+        (oblique_cone, "bracket", {}),
         pytest.param(oblique_cone, "hull", {"axis": (1, 2, 3)}, marks=pytest.mark.trust),
-        pytest.param(oblique_cylinder, "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(lambda: scan3d.load_mesh("meshes/egg.stl"), "bracket", {}, marks=pytest.mark.slow),
+        (oblique_cylinder, "bracket", {}),
+        (lambda: scan3d.load_mesh("meshes/egg.stl"), "bracket", {}),
         pytest.param(lambda: scan3d.load_mesh("meshes/lens.off"), "auto", {}, marks=pytest.mark.trust),
     ],
 )
