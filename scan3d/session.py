@@ -75,7 +75,7 @@ class Session(Described):
         span no body.
         """
         if not self._recordings:
-            return rig.plan_poses(self.plan)
+            return self.planned()
         if self.relative_bound <= self.tolerance:
             return None
         chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
@@ -191,8 +191,7 @@ class Session(Described):
 
         Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
         """
-        space, cloud = self.plan.space(), self.cloud
-        count = max(1, sweeps // rig.SIDES)
+        space, cloud, count = self.plan.space(), self.cloud, max(1, sweeps // rig.SIDES)
         at_stretches: list[rig.Sweep] = []
         if cloud.convex:
             # as finely as slabs will be divided in the end

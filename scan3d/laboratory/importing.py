@@ -542,11 +542,10 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
 
 def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[str]:
     """What the channels (6,) that are known, and the wrench (n, 6) of the recording's rows, say about its use."""
-    notes = []
-    if not touched.any():
-        notes.append(
-            "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
-        )
+    silent = (
+        "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
+    )
+    notes = [] if touched.any() else [silent]
     further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
     if not known.all() and further:
         text = (
