@@ -283,7 +283,7 @@ def test_the_command_line_precedes_the_file_and_the_file_the_defaults(call, tmp_
 
 ALL = Settings(
     slices=4,
-    spacing="uniform",
+    spacing="adaptive",
     axis="1,1,0",
     sweeps="5",
     samples=9,
