@@ -147,7 +147,7 @@ def test_a_shape_is_not_written_where_float32_would_lose_it(tmp_path, ending):
     rows["x"] += 801234.0
     shape = Shape(rows, None if ending in (".pcd", ".csv") else ball.faces.astype(np.int32), "mm")
     if ending in (".stl", ".glb", ".pcd"):
-        with pytest.raises(InputError, match=r"in float32, whose numbers are 62 µm apart at coordinates of 801246 mm"):
+        with pytest.raises(InputError, match=r"in float32, whose numbers are 62 µm apart at coordinates of 801.246 m"):
             write_shape(shape, tmp_path / f"far{ending}")
         rows["bound"] = 0.2  # more than the steps of float32
     write_shape(shape, tmp_path / f"far{ending}")

@@ -385,7 +385,7 @@ def _check_digits(shape: Shape, ending: str) -> None:
         double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
         raise InputError(
             f"{ending} is in float32, whose numbers are {length(step, shape.unit, digits=2)} apart at coordinates of "
-            f"{length(largest, shape.unit)}, so that the shape of this {shape.what} would be lost; choose "
+            f"{length(largest, shape.unit, digits=6)}, so that the shape of this {shape.what} would be lost; choose "
             f"{one_of(double)}, which keep all digits, or scan the body nearer to the origin"
         )
 
