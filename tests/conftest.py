@@ -11,7 +11,7 @@ import os
 import shutil
 import signal
 import sys
-import tempfile
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -31,16 +31,19 @@ def pytest_addoption(parser):
     parser.addoption("--no-skip", action="store_true", help="fail if any test was skipped")
 
 
+def _remove_bytecode():
+    for folder in list(Path(__file__).parents[1].glob("[!.]*/**/__pycache__")):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def pytest_configure(config):
     # a shell without job control ignores Ctrl-C in what it starts in the background, and so do all children of that
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # without bytecode every process that a test starts compiles the packages for half a second before it begins
+    # without bytecode every process that a test starts, and each worker, compiles the packages before it begins
     if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
-        bytecode = tempfile.TemporaryDirectory()
-        config.add_cleanup(bytecode.cleanup)
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-        os.environ["PYTHONPYCACHEPREFIX"] = bytecode.name
+        config.add_cleanup(_remove_bytecode)
     config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
