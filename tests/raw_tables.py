@@ -33,7 +33,7 @@ class Track(NamedTuple):
     move: np.ndarray
 
 
-def track(recording, air=60, lift_m=0.004):
+def track(recording, air=40, lift_m=0.004):
     """The sweeps of a recording at 1 kHz, each with approach and retract along the rod, and transfers between them."""
     force, moment = np.zeros((2, len(recording), 3))
     force[:, :2], moment[:, 2] = recording.force_N, recording.moment_Nm

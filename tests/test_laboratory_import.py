@@ -26,18 +26,18 @@ RIG_WITH_NOISE = Rig(noise=0.002)
 
 @pytest.fixture(scope="module")
 def planar():
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=3, sweeps=3, samples=24))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=2, sweeps=3, samples=24))
 
 
 @pytest.fixture(scope="module")
 def longer():
     """As many rows as strokes, stretches in the air and filters need."""
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4, sweeps=4, samples=32))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=3, sweeps=3, samples=32))
 
 
 @pytest.fixture(scope="module")
 def spatial():
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=5, model="spatial", sweeps=5, samples=32))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4, model="spatial", sweeps=4, samples=24))
 
 
 @pytest.fixture(params=["planar", "spatial"])
@@ -72,8 +72,9 @@ def same_rows(log, found):
 
 @pytest.mark.slow
 def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording):
-    log = track(recording)
+    log = track(recording, air=60)
     found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))
+    assert found.summary.notes == ()  # though retracts hold contacts as well
     rows = same_rows(log, found)
     back = found.recording
     assert back.position_m == pytest.approx(recording.position_m[rows], abs=1e-15)
@@ -315,7 +316,7 @@ def test_stretches_in_the_air_can_be_given(tmp_path, longer):
     log = track(longer)
     free = np.flatnonzero(~log.wrench.any(axis=1))
     runs = np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)
-    air = [[float(log.time[run[0]]), float(log.time[run[-1]])] for run in [*runs[::9], runs[-1]]]
+    air = [[float(log.time[run[0]]), float(log.time[run[-1]])] for run in [*runs[:-1:9], runs[-1]]]
     data = map_of(longer.rod, EXACT, tare={"air": air})
     found = imported(tmp_path / "raw.csv", table(log, EXACT), data)
     rows = same_rows(log, found)
@@ -483,7 +484,7 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
     random = np.random.default_rng(0)
     for name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"):
         columns[name] = 1e-4 * random.standard_normal(len(log.time))
-    columns["Fx"][[300, 700, 2000]] = 5.5e-4
+    columns["Fx"][[300, 700, 1500]] = 5.5e-4
     found = imported(tmp_path / "log.csv", columns, map_of(planar.rod, EXACT))
     assert found.summary.sweeps == len(np.unique(planar.sweep))
     assert found.summary.sweeps_with_contact == 0
@@ -491,7 +492,7 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
 
 @pytest.mark.slow
 def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, longer):
-    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(longer, air=400), RIG_WITH_NOISE)))
+    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(longer, air=150), RIG_WITH_NOISE)))
     data = map_of(longer.rod, RIG_WITH_NOISE)
     full = scan3d.import_table(tmp_path / "long.parquet", data)
     data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
