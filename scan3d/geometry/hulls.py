@@ -392,9 +392,10 @@ def support_of(qhull: ConvexHull) -> Callable[[Array], Array]:
 
     From a vertex of the facet with the nearest normal, edges lead up to the highest vertex.
     """
-    points, facets = qhull.points[qhull.vertices], np.searchsorted(qhull.vertices, np.sort(qhull.simplices, axis=1))
-    sides = facets[:, [[0, 1], [0, 2], [1, 2]]].reshape(-1, 2)
-    links = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)
+    vertices, edges = edges_of(qhull)
+    points, facets = qhull.points[vertices], np.searchsorted(vertices, qhull.simplices)
+    links = np.concatenate([edges, edges[:, ::-1]])
+    links = links[np.lexsort(links.T[::-1])]
     degree = np.bincount(links[:, 0], minlength=len(points))
     first = np.cumsum(degree) - degree
     facing = cKDTree(qhull.equations[:, :3])

@@ -564,7 +564,7 @@ def most_informative_sweep(scene: Scene) -> int:
     assert sweeps is not None
     numbers, rows = _rows_of_each(sweeps)
     extent = np.array([np.linalg.norm(np.ptp(points[of_sweep], axis=0)) for of_sweep in rows])
-    distance = np.linalg.norm([points[of_sweep].mean(axis=0) - points.mean(axis=0) for of_sweep in rows], axis=1)
+    distance = np.linalg.norm([points[of_sweep].mean(axis=0) for of_sweep in rows] - points.mean(axis=0), axis=1)
     distance[extent < 0.95 * extent.max()] = np.inf
     # rounded, because in a symmetric body rounding would choose among equals
     return int(numbers[np.argmin(np.round(distance / (scene.diagonal or 1.0), 6))])
