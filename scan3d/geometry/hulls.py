@@ -1,8 +1,6 @@
-"""Convex hulls: as meshes, made smaller, their edges, plane faces and support functions; and the polytopes of planes.
+"""Convex bodies, as hulls of points, as polytopes of planes, and as meshes that are nearly convex.
 
-How far a mesh is from convex: by its edges, and by the planes of its hull.
-
-By edges, in linear time.
+How far a mesh is from its hull follows from its edges, in linear time, or else from the planes of the hull.
 
 Let every edge of a closed mesh belong to two faces that run through it in opposite directions, let a point c lie below the
 planes of all faces by at least r, let the surface wind once around c, and lie within R of it.  Then every ray from c meets the

@@ -1,28 +1,20 @@
-"""Heights of the slices: spaced by a rule, or chosen where the contacts so far leave most room for the body.
+"""Slices that follow: spaced by a rule, or chosen where the contacts so far leave most room for the body.
 
-One rule chooses further heights: cut the slab with the largest gap between outer and inner body, until the gap is within the
-tolerance, or as narrow as what the contacts of a slice leave open in its plane, which further slices do not close: in the
-planes of the slab, or in those of half of all slabs.  Where the body goes on straight to the corner with the gap, a vertex or
-an edge ends there, and a slice through it closes the gap.  Elsewhere the body is bent, and the gap falls with the square of the
-number of parts into which slices divide the slab.
+This module knows no simulation: a simulated scan and a real rig both ask it for slices, sweep there, and ask again.
 
-This module knows no simulation: a simulated scan and a real rig both ask it for heights, sweep there, and ask again.
+What contacts leave open between slices is widest at a corner of the outer body.  Where the body goes on straight to it,
+a vertex or an edge ends there, and one slice through it closes the gap.  Elsewhere the body is bent, and the gap falls with the
+square of the distance between the slices.  So slabs, or cells of several axes, with the largest gaps are cut, through their
+corners or into as many parts as make the largest gap least, until the gaps are within the tolerance, or as narrow as what the
+contacts of a slice leave open in its plane, which further slices do not close.
 
-Heights of further slices along several axes, chosen together by what all contacts leave of the cells between the slices.
+A cell of several axes is as wide as the narrowest of its strips, on the body's surface, and that axis is cut with which
+the slices that are left make the largest gap least: strips of several axes that cross each other do not add up.  Where more
+cells are open than slices are left, all are along one axis; so are those of very many slices, after the first ones.
 
-The largest gap of a cell is at one of its corners.  Where the planes that meet there touch contacts in three slices or more,
-the body goes on straight to the corner, which is a vertex or lies on an edge: one slice through it, along any axis, closes the
-gap.  Elsewhere the body is bent, and the gap of a cell falls with the square of its width on the body's surface: of the
-narrowest of the strips, one for each axis, in which it lies.  Further slices make strips of one axis narrower.  Of all axes
-that is chosen with which the slices that are left make the largest gap least; strips of several axes that cross each other do
-not add up.  Where more cells are open than slices are left, the vertices are too many to be sliced one by one, and the rest of
-the slices are planned as those of a scan along one axis; so are those of scans of very many slices, after the first ones.
-
-Planes of further slices of a polyhedron, in any direction, chosen by what contacts know of its facets.
-
-The planes of known facets meet in corners.  One that is not known to be a vertex may be cut off by further facets: a slice
-between the corner and the body would cross them.  Once all corners are vertices, slices through these make the contacts' hull
-the body itself.  A plane goes through three such places, those with the largest gaps first.
+Of a polyhedron the planes of known facets meet in corners.  One that is not known to be a vertex may be cut off by further
+facets, which a slice between the corner and the body would cross; once all corners are vertices, slices through these make the
+contacts' hull the body itself.  A plane, in any direction, goes through three such places, those with the largest gaps first.
 """
 
 from __future__ import annotations
@@ -54,7 +46,7 @@ BEYOND = 2
 LEAST_OVERSHOOT = 1e-4
 """Least distance of the slices beyond the ends from the ends, as a fraction of the body's height."""
 CLOSEST = 1e-7
-"""Slices closer to each other than this fraction of the height add no information but rounding, nor do gaps below it."""
+"""Part of the body's size below which two slices or two corners are one, and a gap is rounding."""
 AT_VERTEX, AT_POLE = 0.98, 0.35
 """Where a cap is cut, as a fraction of the distance from its end slice to its worst corner: just before the tip of a vertex,
 and at about a third at a smooth pole, whose cap is shallower than its corner."""
@@ -406,7 +398,7 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
     by_axis = stacks(cloud)
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     # smaller gaps are errors of exact contacts
-    tolerance = max(plan.tolerance, 1e-7) * size
+    tolerance = max(plan.tolerance, CLOSEST) * size
     opened = _open(cloud, by_axis, size, tolerance)
     if left <= 0 or not len(opened.gap):
         return Further([])
@@ -472,7 +464,7 @@ def _open(cloud: Cloud, by_axis: list[SliceStack], size: float, tolerance: float
     for i in wide[np.argsort(-gap[wide], kind="stable")][:200]:
         planes = found.planes[worst[i]]
         # a straight side of the body has contacts in three slices, in the planes that meet there
-        near = np.abs(cloud.points @ planes[:, :3].T + planes[:, 3]) < 1e-7 * size
+        near = np.abs(cloud.points @ planes[:, :3].T + planes[:, 3]) < CLOSEST * size
         vertex[i] = all(len(np.unique(cloud.slice[rows])) >= 3 for rows in near.T)
     return _Open(number, gap, corner, height, width, on_slice, vertex)
 
@@ -599,8 +591,6 @@ def _within(stack: SliceStack, i: int, parts: int, opened: _Open, k: int) -> lis
 
 FIRST_PART, FEW = 3 / 8, 64
 """Part of the slices, of so many at most, that go along one axis first, by which a body proves a polyhedron."""
-# Part of the body's size below which a gap is none, and two corners are one.
-_NEAR = 1e-7
 
 
 class Aims:
@@ -626,14 +616,14 @@ class Aims:
         self._rounds += 1
         vertices, corners = known.corners[known.vertex], known.corners[~known.vertex]
         gap, _, foot = nearest(corners, hull(np.concatenate([cloud.points, vertices])))
-        aimed = (np.linalg.norm(corners[:, None] - self._corners, axis=2) <= _NEAR * size).sum(axis=1)
+        aimed = (np.linalg.norm(corners[:, None] - self._corners, axis=2) <= CLOSEST * size).sum(axis=1)
         # the gap of a corner counts less each time that it was aimed at
         gap = np.append(gap * 0.25**aimed, nearest(vertices, inner)[0])
         is_new = np.pad(aimed == 0, (0, len(vertices)))
         corners, places = np.concatenate([corners, vertices]), np.concatenate([(corners + foot) / 2, vertices])
         order = np.lexsort((-gap, ~is_new))
-        order = order[gap[order] > _NEAR * size]
-        order = order[np.unique(representatives(corners[order], _NEAR * size))]
+        order = order[gap[order] > CLOSEST * size]
+        order = order[np.unique(representatives(corners[order], CLOSEST * size))]
         corners, places = corners[order], places[order]
         planes: list[Array] = []
         while len(places) and len(planes) < min(3, left):

@@ -1,11 +1,9 @@
-"""Whether a recording agrees with the model: a convex body, touched by a rod whose reactions are those that are recorded.
+"""Contacts of a recording, and what in them contradicts the model of a convex body touched by the stated rod.
 
-The tests use the recording alone.  Each has a threshold that correct recordings do not reach, whatever the body, the friction,
-the noise that they state and the digits that they keep; errors of signs, axes, units, scales, offsets and times usually do.
-
-What is compared are the misfits of `reconstruction.errors`; further tests look at the poses, the table and the model alone.
-
-What a recording's contradictions with itself show: rows that contradict the rest, and a relative error of the wrench.
+Contradictions show in misfits (`reconstruction.errors`), the poses and the table, of the recording alone.  Each test has a
+threshold that correct recordings do not reach, whatever the body, the friction, the noise that they state and the digits that
+they keep; errors of signs, axes, units, scales, offsets and times usually do.  Single rows are left out; a small relative error
+of the wrench is allowed for in the bounds; with any other contradiction, whose likeliest cause is named, nothing is certified.
 
 Rows that contradict the rest are wild values, spikes, rows that are stuck.  In a slice of a convex body no contact lies beyond
 the tangent at another.  A row is judged by groups of its neighbours along the contour: the median of a contact's distances

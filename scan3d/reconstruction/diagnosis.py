@@ -1,15 +1,13 @@
 """The likeliest fault of a recording that contradicts the model.
 
-The numbers of each fault are estimated by least squares of the misfits (`reconstruction.errors`) that the recording has without
-it.  The fault that leaves least is named, if it leaves little; those that leave as little are named beside it.
-
-What may be wrong with a recording: each fault as the affine map of the wrench that undoes it.
-
 A fault maps the wrench that the sensor should show to the one that it shows.  What undoes it is an affine map as well: a matrix
 for signs, units, gains, exchanged axes and frames, and a zero that is taken off; both may differ from row to row.  A rod of
 another length scales the dimensionless force by its square and the moment by itself, and is a matrix too.  Beside the wrench
 the rod may be another one than stated, tapered, curved, heavy, or in a clamp that gives, and the poses may be those of another
-time.  A cause has at most six numbers.  `causes` is the table of them all.
+time.  `causes` is the table of them all.
+
+A cause has at most six numbers, estimated by least squares of the misfits (`reconstruction.errors`) that the recording has
+without it.  The fault that leaves least is named, if it leaves little; those that leave as little are named beside it.
 """
 
 from __future__ import annotations
