@@ -10,7 +10,8 @@ import pytest
 from small_scans import CUBE, FEW, scanned
 
 import scan3d
-from scan3d.pictures import canvas, drawing, views
+from scan3d import pipeline
+from scan3d.pictures import canvas, drawing
 
 JOBS = [(".png", {"view": "cloud"})]
 
@@ -20,19 +21,21 @@ def renderer(monkeypatch):
     monkeypatch.setattr(canvas, "can_render", lambda: True)
 
 
+class DrawnHere(contextlib.nullcontext):
+    """Takes the place of `drawing.Drawing`, and draws in this process."""
+
+    def begin(self, *what):
+        self.finish = lambda: drawing._pictures(*what)
+
+
 @pytest.mark.slow
 @pytest.mark.rendering
-def test_a_child_draws_the_same_picture_as_this_process_whatever_its_matplotlibrc(tmp_path, monkeypatch):
+def test_a_child_draws_while_a_scan_compares_and_as_this_process_does_afterwards(tmp_path, monkeypatch):
+    """Whatever its matplotlibrc."""
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\naxes.linewidth: 5\n")
     monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
-    views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
-    assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
-
-
-@pytest.mark.rendering
-@pytest.mark.slow
-def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwards(tmp_path):
     scan = scan3d.scan(CUBE, tmp_path / "early", slices=4, sweeps=4, samples=8)
+    monkeypatch.setattr(pipeline, "Drawing", lambda: DrawnHere(DrawnHere()))
     scan.save(tmp_path / "late")
     for name in ("cloud.png", "surface.png", "view.html"):
         assert (tmp_path / "early" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()

@@ -67,8 +67,8 @@ def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown
     assert page.read_bytes() == (folder / "view.html").read_bytes()
     scan3d.open(folder).plot(size="85x60mm", dpi=150, camera="-60,25", view="compare", path=tmp_path / "b.svg")
     assert picture.read_bytes() == (tmp_path / "b.svg").read_bytes()
-    code, out, _ = call("show", folder / "cloud.ply", "--screenshot", tmp_path / "a.png", "--json")
-    assert (code, json.loads(out)) == (0, {"shown": "cloud", "files": [str(tmp_path / "a.png")]})
+    code, out, _ = call("show", folder / "cloud.ply", "--html", page, "--json")
+    assert (code, json.loads(out)) == (0, {"shown": "cloud", "files": [str(page)]})
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,9 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     assert "signed distance from the other surface in mm" in (tmp_path / "a.html").read_text()
     # in Python the same
     result = scan3d.open(folder)
-    images = [result.plot(against=given) for given in (scan3d.open(other), other / "surface.ply")]
-    for image in images:
-        np.testing.assert_array_equal(pixels(picture), np.asarray(image))
+    np.testing.assert_array_equal(pixels(picture), np.asarray(result.plot(against=other / "surface.ply")))
+    charts = [result.plot(against=given, view="histogram") for given in (scan3d.open(other), other / "surface.ply")]
+    np.testing.assert_array_equal(*map(np.asarray, charts))
     assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
 
 
