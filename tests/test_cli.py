@@ -33,7 +33,6 @@ COMMAND = Path(sys.executable).with_name("scan3d")
 # A scan that takes a fraction of a second.
 FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")
 RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
-PICTURES = {"cloud.png", "surface.png"}
 
 
 def tree(folder):
@@ -202,20 +201,6 @@ def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, 
     assert Path(named) == Path("scan3d-demo/view.html")
     assert Path(named).is_file()
     assert "Open" not in call("demo", "--quiet")[1]
-
-
-@pytest.mark.rendering
-@pytest.mark.slow
-def test_a_scan_prints_its_results_on_stdout_only(tmp_path):
-    arguments = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", *FEW]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
-    assert done.returncode == 0
-    assert re.fullmatch(r"(scan3d: [\d.]+ s: .*\n)*", done.stderr)
-    assert "Hausdorff distance" in done.stdout
-    assert str(tmp_path / "out") in done.stdout
-    assert {p.name for p in (tmp_path / "out").iterdir()} == RESULTS | PICTURES
-    for name in PICTURES:
-        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_without_a_renderer_all_but_pictures_is_written(call, tmp_path, no_pictures):

@@ -70,7 +70,11 @@ def fewer(text: str) -> str:
     """The code or command with fewer slices, samples and facets: a page's scans take a moment, and show the same."""
     text = text.replace('"slices": [4, 8, 16]', '"slices": [4]').replace('"slices": [4, 8]', '"slices": [4]')
     text = re.sub(r"\bsamples=\d\d", "samples=12", re.sub(r"icosphere\((subdivisions=)?\d", r"icosphere(\g<1>3", text))
-    text = text.replace("--dpi 600", "--dpi 100").replace("--samples 64", "--samples 16").replace("--slices 8", "--slices 6")
+    text = (
+        text.replace("--dpi 600", "--dpi 100")
+        .replace("--samples 64", "--samples 16")
+        .replace("--slices 8", "--slices 6")
+    )
     text = text.replace("rate_hz = 100", "rate_hz = 30")
     text = re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
     text = re.sub(r"\bslices=(\d+)(?!.*samples)", r"slices=\1, samples=16", text)
@@ -84,7 +88,7 @@ def fewer(text: str) -> str:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The demonstration has few slices, neither a batch nor a picture needs a process, and no scan draws, for other tests do."""
+    """The demonstration has few slices, no scan draws, and batches and pictures need no process: other tests show these."""
     monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
     monkeypatch.setattr(workers, "Workers", Threads)
     monkeypatch.setattr(canvas, "can_render", lambda: False)
