@@ -28,10 +28,9 @@ from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
 from scan3d.files.text import read_section
 from scan3d.files.whole import BATCH, REPORT, SCHEMA, earlier_files, read_report, replacing, sha256, unchanged
-from scan3d.processes import undone_if_ended
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
 from scan3d.units import length, share
-from scan3d.workers import Workers
+from scan3d.workers import Workers, undone_if_ended
 
 Row = dict[str, Any]
 """A row of the summary, by column; what is not known is None."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from small_scans import CUBE, EGG, FEW
 
-from scan3d import processes
+from scan3d import workers
 from scan3d.cli import main
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different there")
@@ -75,7 +75,7 @@ def test_libraries_can_not_catch_an_interruption(tmp_path):
     """Python reports exceptions of destructors and goes on, and libraries catch exceptions of all kinds."""
     code = f"""
 import os, signal, sys, time
-from scan3d.processes import end_on_signals, undone_if_ended
+from scan3d.workers import end_on_signals, undone_if_ended
 signal.signal(signal.SIGINT, signal.default_int_handler)
 end_on_signals()
 print("ready", flush=True)
@@ -94,21 +94,21 @@ with undone_if_ended(lambda: open({str(tmp_path / "undone")!r}, "w").close()):
 
 
 def test_what_is_over_is_not_undone():
-    with contextlib.suppress(ZeroDivisionError), processes.undone_if_ended(pytest.fail):
+    with contextlib.suppress(ZeroDivisionError), workers.undone_if_ended(pytest.fail):
         raise ZeroDivisionError
-    assert processes._UNDONE == []
+    assert workers._UNDONE == []
 
 
 def test_ctrl_c_in_a_program_that_calls_main_is_a_code(tmp_path, monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    before = [signal.getsignal(number) for number in processes._SIGNALS]
+    before = [signal.getsignal(number) for number in workers._SIGNALS]
     monkeypatch.setattr("scan3d.simulation.scan.simulate", interrupt)
     assert main(["simulate", str(CUBE), "--out", str(tmp_path / "new" / "log.csv")]) == 130
     assert capsys.readouterr() == ("", "scan3d: interrupted\n")
     assert list(tmp_path.iterdir()) == []
-    assert [signal.getsignal(number) for number in processes._SIGNALS] == before
+    assert [signal.getsignal(number) for number in workers._SIGNALS] == before
 
 
 @pytest.mark.rendering

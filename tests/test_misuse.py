@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d import InputError, processes
+from scan3d import InputError, workers
 from scan3d.cli import main
 from tests.shapes import box, dimpled_box, without
 
@@ -83,7 +83,7 @@ def test_settings_of_other_types(setting):
 
 
 def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):
-    monkeypatch.setattr(processes, "memory_bytes", lambda: 24_000_000_000)
+    monkeypatch.setattr(workers, "memory_bytes", lambda: 24_000_000_000)
     scan3d.simulate(box(), scan3d.Plan(slices=2, samples=8))  # imports what it needs
     tracemalloc.start()
     for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):

@@ -13,7 +13,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
     try:
         if argv is None:
-            from scan3d.processes import end_on_signals
+            from scan3d.workers import end_on_signals
 
             end_on_signals()
             os.environ.setdefault("PYTHONSAFEPATH", "1")  # child processes execute no file of the current folder

@@ -1,7 +1,7 @@
 """The command line: all commands, and how a call becomes an exit code.
 
 Results are printed to stdout, progress and messages to stderr.  The exit code is 0 for success, 1 for a failure, 2 for wrong
-usage; `scan3d.processes` adds 130 for an interrupted run and 143 for a terminated one.
+usage; `scan3d.workers` adds 130 for an interrupted run and 143 for a terminated one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unused
 from scan3d.cli import doctor, rig, show, verbs
 from scan3d.cli.terminal import Output, Progress, say
 from scan3d.errors import InputError, UsageError
-from scan3d.processes import compute_algebra_in_one_thread
+from scan3d.workers import compute_algebra_in_one_thread
 
 GUIDE = """\
 scan3d: seeing by touch.  A flexible rod is swept along a body, and the body is reconstructed from the reactions at its clamp.

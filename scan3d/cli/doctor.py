@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from scan3d.cli.terminal import Output, printable_json, table
-from scan3d.processes import python
+from scan3d.workers import python
 
 # Packages that every scan needs, and what the others are used for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow", "cyclopts", "rich")

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter, Token
 
-from scan3d.processes import undone_if_ended
 from scan3d.settings import Settings, settings
+from scan3d.workers import undone_if_ended
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:

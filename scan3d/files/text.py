@@ -22,9 +22,9 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scan3d.errors import InputError
-from scan3d.processes import check_memory
 from scan3d.rods import Rod
 from scan3d.units import is_finite
+from scan3d.workers import check_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -27,7 +27,7 @@ from typing import Any
 
 from scan3d.errors import InputError
 from scan3d.files.text import read_small, to_json
-from scan3d.processes import undone_if_ended
+from scan3d.workers import undone_if_ended
 
 REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")

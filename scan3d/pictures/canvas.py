@@ -23,7 +23,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import parts
 from scan3d.pictures.parts import Scene, contact_sentence
-from scan3d.processes import python
+from scan3d.workers import python
 
 # Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
 # Where a display does not answer, VTK falls back to a window that is never shown.

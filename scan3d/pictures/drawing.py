@@ -20,7 +20,7 @@ from scan3d.errors import InputError
 from scan3d.pictures import canvas
 from scan3d.pictures.figures import Sheet
 from scan3d.pictures.parts import Scene
-from scan3d.processes import python
+from scan3d.workers import python
 
 Job = tuple[str, dict[str, Any]]
 """What is drawn: the file ending, and the keywords of `views.picture`, or of `views.movie` for the ending of a movie."""

@@ -41,10 +41,10 @@ from scan3d.planning.plan import (
     positions,
 )
 from scan3d.poses import Move, PoseList
-from scan3d.processes import check_memory
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import UNITS_M
+from scan3d.workers import check_memory
 
 FORCE_FACTOR = 2.0
 """Largest force on the rod's side in EI/d², for contacts at least the distance d in front of the clamp: 1.93 is the most that

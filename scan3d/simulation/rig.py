@@ -27,12 +27,12 @@ from scan3d.files.text import Section, read_section
 from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import check_body, check_convex
 from scan3d.poses import TABLE, Move, PoseList
-from scan3d.processes import check_memory
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import check_positions, to_inner, turn_of
 from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.units import UNITS_M
+from scan3d.workers import check_memory
 
 # Bytes that a row of a log takes while it is computed and written.
 _MEMORY_PER_ROW = 1500

@@ -49,7 +49,6 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
-from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.recording import Recording
@@ -59,7 +58,7 @@ from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
 from scan3d.spatial.sweeping import Sweeps, passages, sweep
 from scan3d.units import UNITS_M, length
-from scan3d.workers import shared
+from scan3d.workers import check_memory, shared
 
 Progress = Callable[[int, int], None]
 
