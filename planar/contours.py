@@ -1,23 +1,20 @@
-"""Contours of the objects along which the rod is swept.
+"""Contours of the objects along which the rod is swept: the path of a convex one, and the closed loops of any.
 
-A contour lies above the base line ``y = 0``.  The rod, clamped on that line and moved in -x, touches its lower side and
-passes it from right to left: the slope angle ``α̃`` falls from ``π/2`` (right) through 0 (lowest point) to ``-π/2`` (left).
+A contour lies above the base line ``y = 0``.  The rod, clamped on that line and moved in -x, touches its lower side and passes
+it from right to left: the slope angle ``α̃`` falls from ``π/2`` (right) through 0 (lowest point) to ``-π/2`` (left).
 ``t = (cos α̃, sin α̃)`` is the tangent and ``n = (sin α̃, -cos α̃)`` the outward normal.
 
-A strictly convex contour is parametrised by its slope, a convex polygon by its edges and vertices.  Contours that are not
-convex, and several in one plane, are loops, which the rod may touch at several places at once.
+The *path* of a convex contour is its lower side in pieces, in the order in which the rod passes them.  On a strictly convex
+contour the slope turns and the point moves along every piece.  A polygon is the limit: along an edge the slope is fixed and the
+point moves, at a vertex the point is fixed and the slope turns through the vertex's cone of normals, so that polygons need no
+smoothing.
 
-The path of a contour is its lower side in pieces, in the order in which the rod passes them.  On a strictly convex contour the
-slope turns and the point moves along every piece.  A convex polygon is the limit: along an edge the slope is fixed and the
-point moves, at a vertex the point is fixed and the slope turns through the vertex's cone of normals.  Each piece has a
-parameter in [0, 1], so that polygons need no smoothing.
+A contour that is not convex, or several in one plane, may be touched at several places at once.  Its *loops* run all around,
+counter-clockwise, body on the left of ``(cos τ, sin τ)``, in *curves* (a line, or a smooth stretch of cubic polynomials or an
+ellipse), whose point moves, and *vertices*, whose point is fixed while ``τ`` turns: to the left at a convex one, to the right
+at a concave one.  A smooth loop is a single curve that closes.  `Outlines` has the loops of many bodies, each in its own plane.
 
-Outlines of any bodies in a plane: simple closed loops of lines, smooth curves and vertices, convex or not.
-
-Counter-clockwise, body on the left of the tangent ``t = (cos τ, sin τ)``, outward normal ``n = (sin τ, -cos τ)``.  A loop is a
-cycle of pieces with one parameter ``u`` in [0, 1] each: a *curve* (a line, or a smooth stretch of cubic polynomials or an
-ellipse), whose point moves, or a *vertex*, whose point is fixed while ``τ`` turns: to the left at a convex one, to the right at
-a concave one.  A smooth loop is a single curve that closes.  `Outlines` has the loops of many bodies, each in its own plane.
+Pieces of paths and of loops have a parameter in [0, 1].
 """
 
 from __future__ import annotations
