@@ -56,7 +56,7 @@ def test_rows_between_solved_ones_are_those_of_rods_that_touch(seed):
     around = parse_envelope(f"cylinder:{across}x{body.bounds[1, 2]}")
     plan = RigPlan(around, model="spatial", rod=ROD, slices=1, sweeps=4)
     poses = plan_poses(plan)
-    some = np.flatnonzero(poses.sweep % 4 == 1)  # from all sides
+    some = np.flatnonzero(poses.sweep % 8 == 1)  # from all sides
     few = replace(poses, **{name: getattr(poses, name)[some] for name in ("sweep", "position_m", "quaternion", "move")})
     log = simulate_rig(body, few, faults=Faults(rate_hz=200.0), friction=(0.0, 0.4))
     recording = replace(log, faults=None).recording()
