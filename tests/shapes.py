@@ -105,18 +105,6 @@ def quad(diagonal, height=0.5):
     return trimesh.Trimesh(corners, faces, process=False)
 
 
-def angle_bracket():
-    """An L: the box 2 x 2 x 1 without the part x, y > 1."""
-    outline = np.array([(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1)], dtype=float)
-    flat = [(0, 1, 4), (0, 4, 7), (1, 2, 3), (1, 3, 4), (7, 4, 5), (7, 5, 6)]
-    vertices = np.concatenate([np.column_stack([outline, np.full(8, z)]) for z in (0.0, 1.0)])
-    faces = [f[::-1] for f in flat] + [tuple(i + 8 for i in f) for f in flat]
-    for i in range(8):
-        j = (i + 1) % 8
-        faces += [(i, j, j + 8), (i, j + 8, i + 8)]
-    return trimesh.Trimesh(vertices, faces, process=False)
-
-
 def dented(depth):
     """A cube of side 2 with one face pushed in at its middle."""
     mesh = cube().subdivide()

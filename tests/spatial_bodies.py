@@ -8,15 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull
+from shapes import unit
 
 from planar import Phase
 from scan3d.cloud import Cloud, NormalSource
 
 AS_IT_IS = np.eye(3)
-
-
-def unit(v):
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
 @dataclass(frozen=True)

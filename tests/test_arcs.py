@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud, unit
+from shapes import unit
+from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud
 from spatial_scans import recorded
 
 import planar

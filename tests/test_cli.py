@@ -24,6 +24,7 @@ import scan3d
 from scan3d import results
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
+from scan3d.files.shapes import read_ply
 from scan3d.pictures import canvas
 from scan3d.settings import Given, Settings, settings
 
@@ -229,8 +230,11 @@ def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, scanne
         assert again["sha256"][name] == first["sha256"][name]
 
 
-def test_the_report_without_the_truth(call, scanned, tmp_path, no_pictures):
-    code, stdout, _ = call("reconstruct", scanned[0] / "recording.csv", "--out", tmp_path / "out")
+def test_step_2_needs_the_recording_only(call, scanned, tmp_path, no_pictures):
+    assert call("simulate", EGG, "--out", tmp_path / "log.csv", *FEW, "--friction", "0.2")[0] == 0
+    for ending in (".csv", ".toml"):
+        assert (tmp_path / f"log{ending}").read_bytes() == (scanned[0] / f"recording{ending}").read_bytes()
+    code, stdout, _ = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
     assert code == 0
     assert "Hausdorff" not in stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -239,6 +243,13 @@ def test_the_report_without_the_truth(call, scanned, tmp_path, no_pictures):
     # settings of the simulation do not apply here
     assert report["settings"] == {"method": "auto", "hull": False}
     assert set(report["files"]) == RESULTS == {p.name for p in (tmp_path / "out").iterdir()}
+    there, here = (read_ply(folder / "cloud.ply")[0] for folder in (scanned[0], tmp_path / "out"))
+    assert there.dtype == here.dtype
+    # `quality` is the distance to the true mesh, and unknown without it
+    assert all(there[name].tobytes() == here[name].tobytes() for name in there.dtype.names if name != "quality")
+    assert np.isnan(here["quality"]).all()
+    assert there["quality"].max() < 1e-6
+    assert (scanned[0] / "surface.ply").read_bytes() == (tmp_path / "out" / "surface.ply").read_bytes()
 
 
 def test_compare_prints_the_distance(call, tmp_path):

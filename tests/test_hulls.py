@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
-from spatial_bodies import unit
+from shapes import unit
 
 from scan3d.arrays import highest
 from scan3d.errors import InputError

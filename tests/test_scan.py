@@ -17,7 +17,6 @@ from small_scans import CUBE, EGG, FOLDER
 import planar
 import scan3d
 from scan3d.files.meshes import read_mesh
-from scan3d.files.shapes import read_ply
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.pictures import canvas
@@ -163,31 +162,6 @@ def scan(folder, *arguments):
 
     assert main(["scan", str(EGG), "--out", str(folder), *FEW, *arguments, "--quiet"]) == 0
     return folder
-
-
-@pytest.mark.slow
-def test_step_2_needs_the_recording_only(tmp_path, no_pictures):
-    from scan3d.cli import main
-
-    scanned_folder = scan(tmp_path / "scanned_folder", "--friction", "0.0:0.4")
-    assert (
-        main(["simulate", str(EGG), "--out", str(tmp_path / "log.csv"), *FEW, "--friction", "0.0:0.4", "--quiet"]) == 0
-    )
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    for name in ("log.csv", "log.toml"):
-        assert (tmp_path / name).read_bytes() == (scanned_folder / name.replace("log", "recording")).read_bytes()
-        (tmp_path / name).rename(elsewhere / name)
-    assert main(["reconstruct", str(elsewhere / "log.csv"), "--out", str(elsewhere / "out"), "--quiet"]) == 0
-
-    there, here = (read_ply(folder / "cloud.ply")[0] for folder in (scanned_folder, elsewhere / "out"))
-    assert there.dtype == here.dtype
-    for name in there.dtype.names:
-        # `quality` is the distance to the true mesh, and unknown without it
-        assert name == "quality" or there[name].tobytes() == here[name].tobytes()
-    assert np.isnan(here["quality"]).all()
-    assert there["quality"].max() < 1e-6
-    assert (scanned_folder / "surface.ply").read_bytes() == (elsewhere / "out" / "surface.ply").read_bytes()
 
 
 def without(report, *keys):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from shapes import unit
 from spatial_bodies import (
     Cylinder,
     Ellipsoid,
@@ -16,7 +17,6 @@ from spatial_bodies import (
     random_ellipsoid,
     random_polyhedron,
     spatial_cloud,
-    unit,
 )
 from spatial_scans import recorded
 

@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 from sample_bodies import convex_hausdorff
+from shapes import unit
 from small_scans import EGG
-from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud, unit
+from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud
 
 import scan3d
 from scan3d.bounds.enclosures import slice_enclosure
