@@ -204,6 +204,22 @@ def test_surfaces_that_are_open_or_dented_are_compared_with_the_inner_body(ball)
     assert at_vertices == pytest.approx(distances(dented.vertices, bounds.inner) + bounds.bound)
 
 
+@pytest.mark.open3d
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
+)
+def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
+    mesh, cloud, bounds = ball
+    made = surface(cloud, method)
+    assert made.metadata["method"] == method
+    bound, at_vertices, _ = certificate(bounds, made)
+    assert bound >= scan3d.compare(made, mesh).upper
+    assert bound < 0.05 * 40
+    assert at_vertices.shape == (len(made.vertices),)
+    assert (at_vertices >= bounds.bound).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("margin", [0.0, 0.05])
 def test_the_certificate_is_the_largest_distance_of_a_corner_or_a_vertex(ball, margin):

@@ -78,23 +78,6 @@ def test_the_estimate_lies_between_the_bounds(seed):
     assert certificate(bounds, estimate).bound >= scan3d.compare(estimate, mesh).hausdorff * (1 - 1e-9)
 
 
-@pytest.mark.open3d
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
-)
-def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
-    mesh, cloud = ball
-    bounds = enclosure(cloud)
-    made = surface(cloud, method)
-    assert made.metadata["method"] == method
-    bound, at_vertices, _ = certificate(bounds, made)
-    assert bound >= scan3d.compare(made, mesh).upper
-    assert bound < 0.05 * 40
-    assert at_vertices.shape == (len(made.vertices),)
-    assert (at_vertices >= bounds.bound).all()
-
-
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
