@@ -145,7 +145,9 @@ def test_the_force_factor_is_the_most_of_all_bent_rods():
 @pytest.mark.slow
 def test_a_force_limit_keeps_the_clamp_farther_away():
     rod = Rod.wire(0.08, 0.0003, 210e9)
-    free, limited = (RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=f) for f in (None, 0.15))
+    free, limited = (
+        RigPlan(parse_envelope("cylinder:40x40"), rod=rod, samples=24, max_force_N=f) for f in (None, 0.15)
+    )
     clearance = limited.resolved_clearance()
     assert free.resolved_clearance() == 0.3 < clearance < FARTHEST
     assert largest_force(rod, clearance) == pytest.approx(0.15)

@@ -30,7 +30,7 @@ def recorded(mesh, poses):
 @pytest.fixture(scope="module")
 def batches(egg):
     """A planar session after three batches, with its bounds after each."""
-    session, bounds = Session("cylinder:60x60", slices=5, samples=48), []
+    session, bounds = Session("cylinder:60x60", slices=5, samples=32), []
     for _ in range(3):
         session.tell(recorded(egg, session.ask(16)))
         bounds.append(session.relative_bound)
