@@ -34,7 +34,7 @@ def exact():
 @pytest.mark.parametrize(("model", "noise"), [("planar", 0.0), ("planar", 1e-4), ("spatial", 1e-4)])
 def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     mesh = turned_box()
-    size = dict(slices=8, samples=16) if model == "spatial" else dict(slices=16, samples=24)
+    size = dict(slices=6, sweeps=4, samples=16) if model == "spatial" else dict(slices=12, samples=24)
     plan = scan3d.Plan(friction=0.2, model=model, noise=noise, **size)
     analysis = analyse(scan3d.simulate(mesh, plan), mesh)
     assert not analysis.warnings
