@@ -30,12 +30,12 @@ def parts(first, middle, end):
     ]
 
 
-@pytest.mark.parametrize("seeds", parts(100, 104, 160))
+@pytest.mark.parametrize("seeds", parts(100, 103, 160))
 def test_scans_are_as_stated(seeds):
     assert wrong(seeds) == []
 
 
-@pytest.mark.parametrize("seeds", parts(200, 203, 230))
+@pytest.mark.parametrize("seeds", parts(200, 202, 230))
 def test_exact_scans_are_as_stated(seeds):
     assert wrong(seeds, noise=(0.0,)) == []
 

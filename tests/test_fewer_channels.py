@@ -117,7 +117,7 @@ ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)
     [(0.0, -1, None), (0.3, 1, None), pytest.param(0.2, -1, CONE, marks=pytest.mark.slow)],
 )
 def test_the_moment_alone_is_enough_along_a_sweep(friction, direction, rod):
-    off, coarse = [], 40 if rod is None else 12
+    off, coarse = [], 40 if rod is None else 8
     for samples in (coarse, 2 * coarse):
         swept = planar.sweep(ELLIPSE, friction, samples=samples, direction=direction, rod=rod)
         rows = np.flatnonzero((swept.phase == planar.Phase.TANGENTIAL) & felt(swept))
