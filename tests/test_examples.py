@@ -173,6 +173,28 @@ def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     for name in ("position_m", "force_N", "moment_Nm"):
         np.testing.assert_allclose(getattr(made, name), getattr(straight, name), rtol=0, atol=1e-15)
     np.testing.assert_allclose(made.axes(), straight.axes(), rtol=0, atol=1e-15)
+    # and so does that by a map, of a body on a turntable
+    data = {
+        "columns": {
+            "sweep": "sweep",
+            "position": ["-travel_mm", "-distance_mm", "height_mm"],
+            "position_in": "clamp",
+            "orientation": {"euler": ["turn_deg"], "convention": "z"},
+            "force": ["across_mN", "along_mN"],
+            "moment": ["moment_uNm"],
+        },
+        "units": {"length": "mm", "force": "mN", "moment": "uN m"},
+        "sensor": {"shows": "rod-on-clamp"},
+        "tare": {"air": "none"},
+        "rod": {"length_m": 0.06, "diameter_m": 0.3e-3, "modulus_Pa": 210e9},
+    }
+    found = script.scan3d.import_table(tmp_path / "table.csv", data)
+    assert np.array_equal(found.sweep, made.sweep)
+    assert found.rod == made.rod
+    np.testing.assert_allclose(found.position_m, made.position_m, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.axes(), made.axes(), rtol=0, atol=1e-14)
+    for name in ("force_N", "moment_Nm"):
+        np.testing.assert_allclose(getattr(found, name), getattr(made, name), rtol=1e-14)
 
     monkeypatch.setattr(script.scanned, "__defaults__", (4,))
     script.main(["--out", str(tmp_path / "own.png")])

@@ -351,35 +351,6 @@ def test_sensors_with_fewer_channels_give_planar_recordings(tmp_path, planar, ch
     assert ("fz are left out" in " ".join(found.summary.notes)) == (channels == 4)
 
 
-def test_a_body_on_a_turntable_is_the_example_of_the_manual(tmp_path, monkeypatch):
-    """The table of examples/own_measurements.py, which that script converts by hand."""
-    monkeypatch.syspath_prepend(str(EGG.parents[1] / "examples"))
-    import own_measurements as example
-
-    example.laboratory(tmp_path / "table.csv", slices=3)
-    data = {
-        "columns": {
-            "sweep": "sweep",
-            "position": ["-travel_mm", "-distance_mm", "height_mm"],
-            "position_in": "clamp",
-            "orientation": {"euler": ["turn_deg"], "convention": "z"},
-            "force": ["across_mN", "along_mN"],
-            "moment": ["moment_uNm"],
-        },
-        "units": {"length": "mm", "force": "mN", "moment": "uN m"},
-        "sensor": {"shows": "rod-on-clamp"},
-        "tare": {"air": "none"},
-        "rod": {"length_m": 0.06, "diameter_m": 0.3e-3, "modulus_Pa": 210e9},
-    }
-    found, by_hand = scan3d.import_table(tmp_path / "table.csv", data), example.recording(tmp_path / "table.csv")
-    assert np.array_equal(found.sweep, by_hand.sweep)
-    assert found.rod == by_hand.rod
-    assert found.position_m == pytest.approx(by_hand.position_m, abs=1e-15)
-    assert found.axes() == pytest.approx(by_hand.axes(), abs=1e-14)
-    assert found.force_N == pytest.approx(by_hand.force_N, rel=1e-14)
-    assert found.moment_Nm == pytest.approx(by_hand.moment_Nm, rel=1e-14)
-
-
 def with_columns(data, **entries):
     return data | {"columns": data["columns"] | entries}
 
