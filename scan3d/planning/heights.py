@@ -164,7 +164,8 @@ def next_heights(
     bent = bool(straight[gap >= gap.max() / 100].any(axis=1).mean() < 0.1)
     if count is None:
         # vertices are found one after another, until there are many slices, of which the last ones are chosen together
-        of_done, of_left, last = (0.3, 1 / 2, done // 20) if bent or done >= 128 else (0.12, 1 / 3, 0)
+        of_done, of_left = (0.3, 1 / 2) if bent or done >= 128 else (0.12, 1 / 3)
+        last = done // 20 if done >= 128 else 0
         count = max(1, min(round(of_done * done), int(of_left * left) + last))
     at = corners[between] @ stack.frame[2]
     return cuts(_levels(stack), number, at, gap, straight.all(axis=1), count, enough, left if bent else None)
