@@ -187,9 +187,9 @@ def test_the_table_without_a_renderer_says_why(made):
     assert canvas.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
 
 
-@pytest.fixture(scope="module")
-def result():
-    return scan3d.scan(CUBE, slices=4, sweeps=4, samples=8, method="hull")
+@pytest.fixture
+def result(made):
+    return made[1]
 
 
 def everything(result):
@@ -236,7 +236,7 @@ def test_the_rows_hold_the_numbers_of_the_results(result):
     assert bounds["bound"].startswith(f"{result.analysis.bounds.bound:.4g} with 100 % confidence; parts: slices ")
     assert f"bound={result.certificate.bound:.6g}, " in repr(result.certificate)
     title, scan = rows(result)
-    assert title.startswith("Scan of cube.stl: ")
+    assert title.startswith("Scan of egg.stl: ")
     assert scan.keys() == dict(result.summary()).keys()
     assert all(value.startswith(scan[name].removesuffix("...")) for name, value in result.summary())
 
