@@ -1,10 +1,10 @@
 """Small scans for the tests of pictures, pages, windows and movies."""
 
 import functools
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from sample_bodies import MESHES
 from spatial_scans import recorded
 
 import scan3d
@@ -14,8 +14,7 @@ from scan3d.pictures import canvas
 from scan3d.pictures.parts import of_cloud
 from scan3d.surfaces import certificate, enclosure, surface
 
-FOLDER = Path(__file__).parents[1] / "meshes"
-CUBE, EGG = FOLDER / "cube.stl", FOLDER / "egg.stl"
+CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
 FEW = ("--slices", "4", "--sweeps", "4", "--samples", "8", "--quiet")
 """Options of a scan that takes a moment."""
 

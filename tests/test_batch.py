@@ -15,7 +15,8 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import pytest
-from small_scans import CUBE, EGG, FEW, FOLDER
+from sample_bodies import MESHES
+from small_scans import CUBE, EGG, FEW
 
 import scan3d
 from scan3d import batches, workers
@@ -27,7 +28,7 @@ from scan3d.settings import settings
 pytestmark = pytest.mark.all_samples  # the results are those of other processes
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
-THREE = (EGG, CUBE, FOLDER / "gem.glb")
+THREE = (EGG, CUBE, MESHES / "gem.glb")
 SUMMARIES = {"summary.csv", "index.html", "batch.json"}
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from small_scans import CUBE, EGG, MESHES
 
 import scan3d
 from scan3d import results
@@ -28,8 +29,6 @@ from scan3d.files.shapes import read_ply
 from scan3d.pictures import canvas
 from scan3d.settings import Given, Settings, settings
 
-MESHES = Path(__file__).parents[1] / "meshes"
-CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
 COMMAND = Path(sys.executable).with_name("scan3d")
 # A scan that takes a fraction of a second.
 FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")

@@ -1,11 +1,10 @@
 """How far a mesh is from convex: by its edges, its hull's planes and its deepest dent, against known depths and brute force."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 from mesh_files import assert_sound, save
+from sample_bodies import MESHES
 from scipy.spatial import ConvexHull
 from shapes import (
     as_mesh,
@@ -35,7 +34,7 @@ from scan3d.geometry.hulls import (
 )
 from scan3d.units import length
 
-MESHES = [Path(__file__).parents[1] / "meshes" / name for name in ("cube.stl", "cylinder.off", "gem.glb")]
+BODIES = [MESHES / name for name in ("cube.stl", "cylinder.off", "gem.glb")]
 
 
 def facets_of(mesh):
@@ -67,7 +66,7 @@ def test_the_bound_by_edges_does_not_depend_on_the_order_of_the_faces():
     assert bounds[0] == pytest.approx(bounds[1], rel=0.03)
 
 
-@pytest.mark.parametrize("path", MESHES, ids=[path.name for path in MESHES])
+@pytest.mark.parametrize("path", BODIES, ids=[path.name for path in BODIES])
 def test_the_meshes_that_come_along_are_as_convex_as_by_qhull(path, monkeypatch):
     facets = facets_of(read_mesh(path))
     planes, bound = planes_by_edges(facets.faces, facets.corners, facets.normals)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 from matplotlib.path import Path as MatplotlibPath
+from sample_bodies import MESHES
 from shapes import box, letter_l
-from small_scans import FOLDER, undrawn
+from small_scans import undrawn
 
 import scan3d
 from scan3d import pipeline
@@ -141,7 +142,7 @@ def test_noisy_contacts_lie_as_far_from_a_body_that_is_not_convex_as_their_error
     assert len(cloud) > 500
     assert (off > 5).mean() < 0.005
     # a rod across a hole touches both of its edges in one row
-    bracket = load_mesh(FOLDER / "hollow" / "bracket.stl")
+    bracket = load_mesh(MESHES / "hollow" / "bracket.stl")
     cloud = scan3d.reconstruct(scan3d.simulate(bracket, scan3d.Plan(slices=3, samples=24, noise=1e-3, friction=0.3)))
     assert np.abs(nearest(cloud.points, bracket)[0]).max() < 0.02 * cloud.rod_length
 
@@ -246,6 +247,6 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
 
 @pytest.mark.slow
 def test_the_meshes_that_come_along_are_closed_and_not_convex():
-    for path in sorted((FOLDER / "hollow").iterdir()):
+    for path in sorted((MESHES / "hollow").iterdir()):
         assert not is_convex(load_mesh(path))
         assert not load_mesh(path, hull=True).metadata["filled"]["open"]

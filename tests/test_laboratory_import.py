@@ -1,7 +1,6 @@
 """Tables of a rig, made from simulated recordings by the inverse of the import, come back as these recordings."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from raw_tables import Rig, disturbed, map_of, sensed, table, track, write
 from scipy.spatial.transform import Rotation
+from small_scans import EGG
 
 import scan3d
 from scan3d import InputError
@@ -19,7 +19,6 @@ from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import guess_map, read_map
 from scan3d.laboratory.signals import robust_sd
 
-EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 EXACT = Rig()
 RIG_WITH_NOISE = Rig(noise=0.002)
 

@@ -1,27 +1,14 @@
 """The meshes to scan: exactly convex when read back, made by the script beside them, and close to their smooth bodies."""
 
-import importlib.util
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from sample_bodies import MESHES as FOLDER
+from sample_bodies import formulas as make_meshes
 
 from scan3d.files.meshes import read_mesh
-
-FOLDER = Path(__file__).parents[1] / "meshes"
-SCRIPT = FOLDER / "make_meshes.py"
-
-
-def load_script():
-    specification = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-make_meshes = load_script()
 
 FILES = [FOLDER / f"{name}{suffix}" for name, (suffix, _) in make_meshes.BODIES.items()]
 ROUNDING = np.sqrt(3) / 2 * make_meshes.GRID  # the farthest that a point moves to the grid, mm
@@ -48,7 +35,7 @@ VOLUMES = {
 
 @pytest.mark.trust
 def test_the_script_makes_the_files_beside_it(tmp_path):
-    run = subprocess.run([sys.executable, SCRIPT, tmp_path], capture_output=True, text=True, check=True)
+    run = subprocess.run([sys.executable, make_meshes.__file__, tmp_path], capture_output=True, text=True, check=True)
     assert run.stdout.split() == [str(tmp_path / file.name) for file in FILES]
     assert {file.name for file in tmp_path.iterdir()} == {file.name for file in FILES}
     for file in FILES:

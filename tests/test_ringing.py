@@ -1,17 +1,15 @@
 """Rows in which a rod rings in the air are no contacts, at any frequency, damping and sampling rate; contacts remain."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from raw_tables import Rig, map_of, table, track, write
+from small_scans import EGG
 
 import scan3d
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
 from scan3d.laboratory.signals import ringing
 
-EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 # Moment over force of a cantilever that swings in its first mode, in its lengths: ∫ φ s ds / ∫ φ ds, φ the mode's deflection.
 LEVER = 0.7265
 

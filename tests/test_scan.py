@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from sample_bodies import MESHES as FOLDER
 from scipy.spatial.transform import Rotation
-from small_scans import CUBE, EGG, FOLDER
+from small_scans import CUBE, EGG
 
 import planar
 import scan3d

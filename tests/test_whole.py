@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from sample_bodies import MESHES
 
 import scan3d
 from scan3d import InputError
@@ -138,7 +139,6 @@ def every(action, how, prepare, check, step=1):
     return kth - 1
 
 
-MESHES = Path(__file__).parents[1] / "meshes"
 can_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the operating system can't fork a process")
 # Every third call of the file system here, every call in `make trust`.
 HOW = [
