@@ -3,17 +3,32 @@
 import numpy as np
 import pytest
 import trimesh
+from shapes import unit
 
 from scan3d.geometry.support import fit_support, fitted_body
+
+TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
+
+
+def directions(count, seed=3):
+    """Unit vectors (count, 3)."""
+    return unit(np.random.default_rng(seed).standard_normal((count, 3)))
+
+
+CENTER = np.array([3.0, -2.0, 7.0])
+
+
+def ellipsoid(semi_axes, normals, turn=TURN, center=CENTER):
+    """Points (n, 3) of an ellipsoid, turned and moved, with the given outward normals."""
+    shape = turn @ np.diag(np.square(semi_axes)) @ turn.T
+    scaled = normals @ shape
+    return center + scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None]
 
 
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (40.0, 2.0, 2.0), (40.0, 40.0, 2.0)])
 def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
-    rng = np.random.default_rng(1)
-    normals = rng.normal(size=(4000, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    scaled = normals * np.array(axes) ** 2
-    points = scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None]
+    normals = directions(4000)
+    points = ellipsoid(axes, normals)
     # the moments of inertia are those of the points' hull: the degrees above 1 make up for what it lacks
     fitted = fit_support(points, normals, 8)
     assert np.abs(fitted.points(normals) - points).max() < 1e-3 * min(axes)
@@ -22,8 +37,7 @@ def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (3.0, 2.0, 1.0), (5.0, 5.0, 0.5)])
 def test_the_facets_of_a_fitted_body_lie_as_far_inside_as_its_vertices_outside(axes):
     semi_axes, normals = np.array(axes), directions(8000)
-    scaled = normals * semi_axes**2
-    body = fitted_body(fit_support(scaled / np.linalg.norm(normals * semi_axes, axis=1)[:, None], normals, 8))
+    body = fitted_body(fit_support(ellipsoid(axes, normals, np.eye(3), 0.0), normals, 8))
 
     def outside(points):
         """Distances (n,) from the ellipsoid, to first order, over its diagonal."""
@@ -35,25 +49,6 @@ def test_the_facets_of_a_fitted_body_lie_as_far_inside_as_its_vertices_outside(a
     assert vertices.max() == pytest.approx(-middles.min(), rel=0.2)
     assert vertices.max() < 1.6e-5  # 81,920 facets with their corners on the ellipsoid lie up to 3.4e-5 inside
     assert abs(body.volume / (4 / 3 * np.pi * semi_axes.prod()) - 1) < 5e-5
-
-
-TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
-
-
-def directions(count, seed=3):
-    """Unit vectors (count, 3)."""
-    vectors = np.random.default_rng(seed).standard_normal((count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
-
-
-CENTER = np.array([3.0, -2.0, 7.0])
-
-
-def ellipsoid(semi_axes, normals):
-    """Points (n, 3) of an ellipsoid, turned and moved, with the given outward normals."""
-    shape = TURN @ np.diag(np.square(semi_axes)) @ TURN.T
-    scaled = normals @ shape
-    return CENTER + scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None]
 
 
 @pytest.mark.parametrize("count", [1500, 9000])
@@ -101,13 +96,9 @@ def test_a_body_that_is_no_ellipsoid_is_found_with_its_degree():
 @pytest.mark.parametrize("table", [-0.06, 0.0, 5.0])
 def test_a_body_stands_on_its_table(table):
     """An ellipsoid whose foot was not touched, with errors in its contacts: the table says where it ends."""
-    semi_axes, lowest = np.array([20.0, 15.0, 25.0]), 0.15
-    rng = np.random.default_rng(2)
-    normals = rng.normal(size=(4000, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    scaled = normals * semi_axes**2
-    points = scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None] + [0.0, 0.0, 25.0 + table]
-    felt = points[:, 2] > table + lowest * 50.0
+    rng, normals = np.random.default_rng(2), directions(4000)
+    points = ellipsoid((20.0, 15.0, 25.0), normals, np.eye(3), [0.0, 0.0, 25.0 + table])
+    felt = points[:, 2] > table + 0.15 * 50.0
     touched = points[felt] + 0.3 * rng.standard_normal((felt.sum(), 1)) * normals[felt]
     free, standing = (fit_support(touched, normals[felt], 8, table=known) for known in (None, table))
     down = np.array([[0.0, 0.0, -1.0]])
