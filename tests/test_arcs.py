@@ -89,10 +89,10 @@ def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
     off = half_width * rng.choice([-1.0, 1.0], (count, 1))
     middle, along = np.cos(off) * normals + np.sin(off) * across, np.cos(off) * across - np.sin(off) * normals
     arcs = Arcs(points, middle, along, np.full(count, half_width))
-    tangents = Tangents(arcs, np.arange(count))
+    tangents = Tangents(arcs, np.arange(count), np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 0.5]))
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    left = ConvexHull(tangents.enclosing(1.2 * corners, np.inf))
-    assert (corners @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
+    left = ConvexHull(tangents.enclosing(tangents.to_world(1.2 * corners), np.inf))
+    assert (tangents.to_world(corners) @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
     assert left.volume < 0.9 * 8 * 1.2**3
 
 

@@ -35,6 +35,7 @@ from scan3d.arrays import (
     evenly,
     highest,
     ratio,
+    unit,
 )
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
@@ -112,30 +113,46 @@ def allowed(cloud: Cloud, confidence: float = CONFIDENCE) -> Allowed:
 
 
 class Tangents(NamedTuple):
-    """Supporting planes through the rod's tangents."""
+    """Supporting planes through the rod's tangents, in a frame in which the contacts are spread like those of a ball."""
 
     arcs: Arcs
     """(k,) of the contacts, and then that of the table, if there is one."""
     rows: Index
     """(k,) the contacts."""
+    centre: Array
+    """(3,) origin of the frame."""
+    shape: Array
+    """(3, 3) symmetric map from the frame to the world."""
+
+    def to_world(self, points: Array) -> Array:
+        """Points (n, 3) of the frame in the world."""
+        return points @ self.shape + self.centre
 
     def enclosing(self, corners: Array, most: float) -> Array:
-        """Corners (v, 3) of what the planes leave of a body in the hull of points (w, 3).
+        """Corners (v, 3) of what the planes leave of a body in the hull of points (w, 3), in the world.
 
         A normal that is turned by θ within its arc has ``<middle, x - p> <= tan θ <across, x - p>`` for all x of the body, so
         that the plane with the middle one holds where it is moved outwards by the most that this can be.  Planes that are moved
         by more than `most`, the distance within which the surface is known, would not bound it better.
         """
-        known = np.flatnonzero(np.isfinite(self.arcs.half_width))
-        if known.min(initial=len(self.rows)) == len(self.rows):  # none of a contact
-            return corners
-        arcs, inside = self.arcs.select(known), self.arcs.points[known[known < len(self.rows)]].mean(axis=0)
+        arcs = self.arcs.select(np.flatnonzero(np.isfinite(self.arcs.half_width)))
+        corners = (corners - self.centre) @ np.linalg.inv(self.shape)
         place = dot(arcs.points, arcs.across)
         far = np.maximum(highest(corners, arcs.across) - place, highest(corners, -arcs.across) + place)
-        move, size = np.tan(arcs.half_width) * far, float(np.abs(corners - inside).max())
-        planes = np.column_stack([arcs.middle, dot(arcs.points - inside, arcs.middle) + move])
-        planes = planes[(planes[:, 3] > NEGLIGIBLE * size) & (move <= most)]
-        return cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, NEGLIGIBLE * size) + inside
+        move = np.tan(arcs.half_width) * far
+        planes = np.column_stack([arcs.middle, dot(arcs.points, arcs.middle) + move])
+        planes = planes[(planes[:, 3] > NEGLIGIBLE) & (move * float(np.linalg.norm(self.shape, 2)) <= most)]
+        size = float(np.abs(corners).max())
+        found = cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, 1e-9)
+        return np.asarray(found @ self.shape + self.centre)
+
+    def normals(self) -> tuple[Array, Array]:
+        """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""
+        inverse = np.linalg.inv(self.shape)
+        arcs = self.arcs.select(np.arange(len(self.rows)))
+        middle = unit(arcs.middle @ inverse)
+        cosines = (unit(arcs.ends() @ inverse) * middle[:, None]).sum(axis=2)
+        return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
 def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:
@@ -145,14 +162,19 @@ def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:
     """
     assert cloud.centre_points is not None
     assert cloud.tangents is not None
-    hulls.hull(cloud.centre_points)  # raises InputError
-    rows, places = tangential(cloud), Places(cloud.centre_points, errors)
-    arcs = arcs_of_contacts(places, cloud.tangents, rows, np.zeros(len(rows))).moved(errors[rows])
+    centre, shape = frame_of(cloud.centre_points)
+    to_frame = np.linalg.inv(shape)
+    points, tangents = (cloud.centre_points - centre) @ to_frame, unit(cloud.tangents @ to_frame)
+    rows = tangential(cloud)
+    # the map stretches errors by no more than its largest factor
+    places = Places(points, errors * float(np.linalg.norm(to_frame, 2)))
+    arcs = arcs_of_contacts(places, tangents, rows, np.zeros(len(rows))).moved(places.errors[rows])
     if cloud.table is not None:
         # nothing of the body lies below it
-        down = np.array([[0.0, 0.0, -1.0]])
-        arcs = arcs.joined(Arcs((cloud.rod_radius - cloud.table) * down, down, across(down)[0], np.zeros(1)))
-    return Tangents(arcs, rows)
+        point = np.linalg.solve(shape, [0.0, 0.0, cloud.table - cloud.rod_radius - centre[2]])
+        down = unit(shape @ [0.0, 0.0, -1.0])[None]
+        arcs = arcs.joined(Arcs(point[None], down, across(down)[0], np.zeros(1)))
+    return Tangents(arcs, rows, centre, shape)
 
 
 def tangential(cloud: Cloud) -> Index:
@@ -283,7 +305,7 @@ def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list
     anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0, table=None)
     tangent = tangent_planes(anywhere, np.full(len(cloud), error))
     ends = np.full((len(cloud), 2, 3), np.nan)
-    ends[tangent.rows] = tangent.arcs.ends()
+    ends[tangent.rows] = unit(tangent.arcs.ends() @ np.linalg.inv(tangent.shape))
     off = error + max(
         float(np.abs(slice_.height - cloud.points[slice_.rows] @ stack.frame[2]).max())
         for stack in by_axis

@@ -523,7 +523,7 @@ def _by_wedges(
             some = cloud.select(kept)
             centre_hull = hull(places.points[kept])
             margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
-            further = () if exact is None else _bodies_by_arcs(cloud, exact, margin)
+            further = () if exact is None else _bodies_by_arcs(cloud, exact.rows, exact.normals(), margin)
             candidates.append((inner, ((centre_hull, radius + margin), *further), margin))
     if not candidates:
         hull(places.points)  # raises InputError, which says why
@@ -609,16 +609,22 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
     return lower, max(float(ConvexHull(corners).volume) - shell, lower)
 
 
-def _bodies_by_arcs(cloud: Cloud, exact: Tangents, margin: float) -> Iterator[tuple[Any, float]]:
-    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out."""
-    radius, arcs = cloud.rod_radius, exact.arcs.select(np.arange(len(exact.rows)))
+def _bodies_by_arcs(
+    cloud: Cloud, rows: Index, normals: tuple[Array, Array], margin: float
+) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out.
+
+    normals
+        the middles (k, 3) of the arcs of the contacts `rows`, and the largest angles (k,) from them.
+    """
+    radius, (middle, angle) = cloud.rod_radius, normals
     if not radius:
         return
     assert cloud.centre_points is not None
-    points = cloud.centre_points[exact.rows] - radius * arcs.middle
+    points = cloud.centre_points[rows] - radius * middle
     # radians from the middles of the arcs
     for widest in (1e-4, 1e-3, 1e-2):
-        narrow = arcs.half_width <= widest
+        narrow = angle <= widest
         with suppress(InputError):
             if narrow.sum() > 3:
                 yield hull(points[narrow]), radius * widest + margin
