@@ -1,4 +1,4 @@
-"""Arcs of supporting planes, and normals by the hull of the contacts, contain the true normals."""
+"""Arcs of supporting planes, and normals by the hull of the contacts, contain the true normals, and apexes the body."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from spatial_scans import recorded
 import planar
 import scan3d
 from planar import Phase
-from scan3d.bounds.constraints import Tangents
+from scan3d.bounds.constraints import Tangents, best_apexes, cover, thinned
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
 from scan3d.reconstruction.normals import hull_normals
@@ -91,9 +91,33 @@ def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
     arcs = Arcs(points, middle, along, np.full(count, half_width))
     tangents = Tangents(arcs, np.arange(count), np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 0.5]))
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    left = ConvexHull(tangents.enclosing(tangents.to_world(1.2 * corners), np.inf))
+    left = ConvexHull(tangents.enclosing(tangents.to_world(1.2 * corners)))
     assert (tangents.to_world(corners) @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
     assert left.volume < 0.9 * 8 * 1.2**3
+
+
+def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
+    """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(count, 3)))
+    normals = normals[seen(normals)]
+    across = unit(np.cross(normals, rng.normal(size=normals.shape)))
+    off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
+    middle = np.cos(off) * normals + np.sin(off) * across
+    return Arcs(normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width))
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.02])
+def test_the_apexes_enclose_the_body(half_width):
+    planes = planes_of_ball(300, half_width)
+    found = cover(planes, thinned(planes, 3.0, 0.1))
+    u = unit(np.random.default_rng(1).normal(size=(2000, 3)))
+    refined = best_apexes(planes, lambda points: np.maximum(np.linalg.norm(points, axis=1) - 1, 0.0)).cover
+    for covering in (found, refined):
+        assert np.isfinite(covering.apexes).all()
+        assert (u @ covering.apexes.reshape(-1, 3).T).max(axis=1).min() >= 1
+        assert np.linalg.norm(covering.apexes, axis=2).min() >= 1 - 1e-9
+    assert np.linalg.norm(refined.apexes, axis=2).max() <= np.linalg.norm(found.apexes, axis=2).max()
 
 
 @pytest.fixture(scope="module")

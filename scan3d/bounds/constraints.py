@@ -1,32 +1,43 @@
-"""What contacts say of a body that contains them: supporting planes, and how far errors move these outwards.
+"""What contacts say of a body that contains them: arcs of supporting planes, and how far errors move these outwards.
 
-A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geometry.arcs`).  All bounds are made of such arcs,
-with the error e of the place and ε of the tangent by noise, digits and the rig's calibration.
+A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geometry.arcs`).  All bounds are made of such arcs:
+contacts in slices use one end of them on either side of their slice, contacts anywhere the places where three of them meet.
+What noise, digits and the rig's calibration leave uncertain moves the planes outwards.
 
-Contacts in slices use one end of them on either side of their slice.  Of contacts anywhere each leaves out a wedge, of all
-points x with ``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of its arc.  A wedge is convex, and
-goes on outwards for ever.  Where the rays along the corners d_j of a triangle, as seen from a centre, enter it at ``a_j d_j``,
-the body's points ``Σ λ_j d_j`` there have ``Σ λ_j / a_j <= 1`` (S28; the manual has the proof, in `docs/model.md`).  The three
-contacts that leave least at the corners leave a polytope of each triangle.  Triangles over all directions give the outer body;
-the farthest of them are divided until the bound is nearly that of the union of all wedges: all that contacts say one by one.
-Where arcs are narrow, as those of polyhedra, all of their planes together may say more than few triangles.
+Three planes meet in an apex (S28; the manual has the proof, in `docs/model.md`).  Let the middles ν_i of the arcs be
+triangulated as points of the sphere, such that ``det(n_i, n_j, n_k)`` is positive in every triangle for all 8 choices of ends
+of its arcs.  Then ``h_K(u) <= <u, a>`` with an apex a of the triangle of the direction u, and every convex function of the
+apex is largest at one of the 8 choices.  The triangles are those of the polar dual of the polytope that the planes with the
+normals ν_i enclose.  Planes far away close it where no normals are known; apexes on them are infinite.
+
+Every choice of planes gives a valid bound.  A coarse one is refined where the apexes lie farthest outside: the plane is added
+that cuts off most of the apex, whichever normals of their arcs the planes have, and a plane with a wide arc is removed where no
+other plane cuts the apex off.  The best choice met is taken.
+
+Where errors are not negligible, each contact alone leaves out a wedge, of the points x with
+``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of its arc, with the error e of the place and ε
+of the tangent t.  Where a wedge contains the corners of a triangle as seen from a centre, the body lies behind the triangle
+there.  Triangles over all directions give the outer body; in each of them that contact is taken which leaves least.  The
+farthest of them are divided until the bound is nearly that of the union of all wedges, which is all that the contacts one by
+one say of K.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import (
     AT_ONCE,
     NEGLIGIBLE,
+    OCTANTS,
     ROUNDING,
     Array,
     Index,
@@ -43,7 +54,7 @@ from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import cut_polytope, edges_of
 from scan3d.geometry.support import inertia
-from scan3d.geometry.triangles import dot
+from scan3d.geometry.triangles import dot, face_normals
 from scan3d.reconstruction.slices import Slice, SliceStack
 
 CONFIDENCE = 0.95
@@ -128,20 +139,19 @@ class Tangents(NamedTuple):
         """Points (n, 3) of the frame in the world."""
         return points @ self.shape + self.centre
 
-    def enclosing(self, corners: Array, most: float) -> Array:
+    def enclosing(self, corners: Array) -> Array:
         """Corners (v, 3) of what the planes leave of a body in the hull of points (w, 3), in the world.
 
         A normal that is turned by θ within its arc has ``<middle, x - p> <= tan θ <across, x - p>`` for all x of the body, so
-        that the plane with the middle one holds where it is moved outwards by the most that this can be.  Planes that are moved
-        by more than `most`, the distance within which the surface is known, would not bound it better.
+        that the plane with the middle one holds where it is moved outwards by the most that this can be.
         """
-        arcs = self.arcs.select(np.flatnonzero(np.isfinite(self.arcs.half_width)))
+        # planes of wider arcs are moved too far to bound anything
+        arcs = self.arcs.select(np.flatnonzero(self.arcs.half_width < 0.1))
         corners = (corners - self.centre) @ np.linalg.inv(self.shape)
         place = dot(arcs.points, arcs.across)
         far = np.maximum(highest(corners, arcs.across) - place, highest(corners, -arcs.across) + place)
-        move = np.tan(arcs.half_width) * far
-        planes = np.column_stack([arcs.middle, dot(arcs.points, arcs.middle) + move])
-        planes = planes[(planes[:, 3] > NEGLIGIBLE) & (move * float(np.linalg.norm(self.shape, 2)) <= most)]
+        planes = np.column_stack([arcs.middle, dot(arcs.points, arcs.middle) + np.tan(arcs.half_width) * far])
+        planes = planes[planes[:, 3] > NEGLIGIBLE]
         size = float(np.abs(corners).max())
         found = cut_polytope(np.empty((0, 4)), planes, np.zeros(3), size, 1e-9)
         return np.asarray(found @ self.shape + self.centre)
@@ -368,11 +378,234 @@ def _narrowed(slopes: Array, stack: SliceStack, i: int, normals: Array, value: A
     return np.where((found[:, 0] <= found[:, 1])[:, None], found, slopes)
 
 
+# Distance of the planes that close the polytope where no normals are known, in sizes of the body.
+_FAR = 300.0
+# Gap relative to the body's size at which the refinement ends.
+_CLOSE = 2e-5
+
+
+class Cover(NamedTuple):
+    """Triangles (m,) of normals that cover the sphere of directions."""
+
+    planes: Index
+    """(m, 3) numbers of the planes; negative for those far away."""
+    apexes: Array
+    """(m, 8, 3) for all choices of ends; infinite where one of the planes is far away."""
+    nominal: Array
+    """(m, 3) apexes of the planes with the middle normals, planes far away included."""
+    removed: Index
+    """Numbers of the planes that were left out because their triangles turned over."""
+
+
+class Apexes(NamedTuple):
+    """The apexes over the triangles (m,) of a cover."""
+
+    cover: Cover
+    gap: Array
+    """(m,) largest distance of an apex from the inner body over all normals of the arcs; infinite where nothing bounds it."""
+
+    @property
+    def open(self) -> Mask:
+        """(m,) whether nothing bounds the body in the triangle's directions."""
+        return np.isinf(self.gap)
+
+    @property
+    def score(self) -> tuple[bool, float]:
+        """Smaller for better apexes: those that close the body, and of these those with the smaller gap."""
+        is_open = bool(self.open.any())
+        return is_open, 0.0 if is_open else float(self.gap.max())
+
+
+def best_apexes(planes: Arcs, distance: Callable[[Array], Array]) -> Apexes | None:
+    """The apexes of the best choice among planes (n,), found by refinement; None if no choice has any.
+
+    planes
+        in a frame in which the body has the size of about 1 and its middle lies in the origin.
+    distance
+        of points (p, 3) from the inner body, convex and never negative, in that frame.
+    """
+    chosen = thinned(planes, 3.0, 0.2)
+    usable = planes.half_width < 0.4  # with wider arcs triangles turn over
+    known: dict[int, float] = {}
+    stuck: set[int] = set()
+    best: Apexes | None = None
+    for _ in range(80):
+        covering = cover(planes, chosen)
+        if covering is None:
+            return best
+        usable[covering.removed] = False
+        chosen = np.setdiff1d(chosen, covering.removed)
+        codes = _codes(covering.planes, len(planes.points))
+        apexes = Apexes(covering, _gaps(covering, codes, distance, known))
+        if best is None or apexes.score <= best.score:
+            best = apexes
+        added, needless = _improvements(planes, apexes, codes, chosen, usable, stuck)
+        usable[needless] = False
+        if not len(added) and not len(needless):
+            return best
+        chosen = np.union1d(np.setdiff1d(chosen, needless), added)
+    return best
+
+
+def _codes(triangles: Index, count: int) -> list[int]:
+    """Numbers of triangles (m, 3) of planes, of which there are `count` beside those far away."""
+    far = len(_far_planes().points)
+    ordered = np.sort(triangles, axis=1) + far
+    base = count + far
+    return ((ordered[:, 0] * base + ordered[:, 1]) * base + ordered[:, 2]).tolist()
+
+
+def _gaps(covering: Cover, codes: list[int], distance: Callable[[Array], Array], known: dict[int, float]) -> Array:
+    """The gaps (m,) of a cover's triangles; those in `known` are not computed again."""
+    new = np.array([i for i, code in enumerate(codes) if code not in known], dtype=np.intp)
+    gap = np.full(len(new), np.inf)
+    closed = np.isfinite(covering.apexes[new, 0, 0])
+    if closed.any():
+        gap[closed] = distance(covering.apexes[new][closed].reshape(-1, 3)).reshape(-1, 8).max(axis=1)
+    known.update(zip((codes[i] for i in new.tolist()), gap.tolist(), strict=True))
+    return np.array([known[code] for code in codes])
+
+
+def _improvements(
+    planes: Arcs, apexes: Apexes, codes: list[int], chosen: Index, usable: Mask, stuck: set[int]
+) -> tuple[Index, Index]:
+    """Numbers of the planes to be added, and of those to be removed; triangles that no plane cuts off are added to `stuck`."""
+    gap, nominal = apexes.gap, apexes.cover.nominal
+    added = removed = np.empty(0, dtype=np.intp)
+    candidates = np.flatnonzero(usable)
+    # a plane nearer to a chosen one than its arc is wide would turn over their triangles
+    if len(chosen) and len(candidates):
+        apart = cKDTree(planes.middle[chosen]).query(planes.middle[candidates])[0]
+        candidates = candidates[apart > planes.half_width[candidates]]
+    free = np.flatnonzero((gap >= _CLOSE) & [code not in stuck for code in codes])
+    while len(free) and not len(added):
+        # from the farthest apexes on, until some can be cut off
+        # those farther out than half the farthest one are cut off in one round, and no more than 60
+        rows = free[np.argsort(-gap[free], kind="stable")][:60]
+        rows = rows[gap[rows] >= 0.5 * gap[rows[0]]]
+        free = np.setdiff1d(free, rows)
+        cut = np.zeros(len(rows), dtype=bool)
+        if len(candidates):
+            depth = planes.select(candidates).depths(nominal[rows])
+            deepest = depth.argmax(axis=1)
+            cut = depth[np.arange(len(rows)), deepest] > 1e-7
+            added = np.unique(candidates[deepest[cut]])
+        stuck.update(codes[row] for row in rows[~cut].tolist())
+    if not apexes.open.any() and gap.max() >= _CLOSE:
+        # what no plane cuts off loses its plane with the widest arc, if it is nearly as far out as the farthest one
+        held = [code in stuck for code in codes] & (gap >= 0.9 * gap.max())
+        triangles = apexes.cover.planes[held]
+        removed = np.unique(triangles[np.arange(len(triangles)), planes.half_width[triangles].argmax(axis=1)])
+    return added, removed
+
+
+def thinned(planes: Arcs, multiple: float, least: float) -> Index:
+    """Numbers of planes, those with narrow arcs first, none nearer to an earlier one than `least` and `multiple` widths."""
+    width = np.maximum(least, multiple * planes.half_width)
+    known = np.flatnonzero(np.isfinite(width) & (width < 1))
+    order = known[np.argsort(width[known], kind="stable")]
+    accepted = np.empty((0, 3))
+    chosen: list[Index] = []
+    for rows in np.array_split(order, max(1, len(order) // 500)):
+        limit = np.cos(width[rows])
+        free = rows if not len(accepted) else rows[((planes.middle[rows] @ accepted.T).max(axis=1) < limit)]
+        cosines = planes.middle[free] @ planes.middle[free].T
+        kept: Mask = np.zeros(len(free), dtype=bool)
+        for i, bound in enumerate(np.cos(width[free])):
+            kept[i] = not (cosines[i, :i][kept[:i]] >= bound).any()
+        chosen.append(free[kept])
+        accepted = np.concatenate([accepted, planes.middle[free[kept]]])
+    return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.intp)
+
+
+def cover(planes: Arcs, chosen: Index) -> Cover | None:
+    """The triangles of some of the planes; None if the rounding is too large."""
+    far = _far_planes()
+    removed: list[Index] = [np.empty(0, dtype=np.intp)]
+    while True:  # each time there are fewer planes
+        some = far.joined(planes.select(chosen))
+        offset = (some.middle * some.points).sum(axis=1)
+        positive = offset > 1 / _FAR
+        if not positive.all():
+            removed.append(chosen[~positive[len(far.points) :]])
+            chosen = chosen[positive[len(far.points) :]]
+            continue
+        triangles = _triangles(some.middle / offset[:, None])
+        if triangles is None:
+            return None
+        determinant, apexes = _apexes(some, triangles)
+        # the rounding of the apex of three nearly parallel planes is no longer small
+        bad = ~(determinant > 1e-7)
+        if not bad.any():
+            numbers = np.concatenate([-1 - np.arange(len(far.points)), chosen])[triangles]
+            apexes[(numbers < 0).any(axis=1)] = np.inf
+            nominal = np.linalg.solve(some.middle[triangles], offset[triangles][..., None])[..., 0]
+            return Cover(numbers, apexes, nominal, np.concatenate(removed))
+        widest = np.unique(_needless(some, triangles[bad], len(far.points))) - len(far.points)
+        widest = widest[widest >= 0]
+        if not len(widest):
+            return None
+        removed.append(chosen[widest])
+        chosen = np.delete(chosen, widest)
+
+
+def _needless(planes: Arcs, triangles: Index, far: int) -> Index:
+    """The plane (m,) of each triangle that turns over which is removed: that with the widest arc; the first `far` planes stay.
+
+    Of planes with equally narrow arcs it is the one between the other two: planes through one edge of a polyhedron have their
+    normals on an arc, and the outer ones matter.
+    """
+    normals = planes.middle[triangles]
+    opposite = np.linalg.norm(np.roll(normals, -1, axis=1) - np.roll(normals, 1, axis=1), axis=2)
+    # rounding does not choose between arcs that are narrower
+    width = np.maximum(planes.half_width, 1e-5)[triangles] * (1 + 1e-3 * opposite)
+    width[triangles < far] = -1.0
+    return np.asarray(np.take_along_axis(triangles, width.argmax(axis=1)[:, None], axis=1)[:, 0])
+
+
+def _far_planes() -> Arcs:
+    normals = np.concatenate([np.eye(3), -np.eye(3), OCTANTS / np.sqrt(3)])
+    # turned, so that no body's own normals are parallel to them
+    first, _ = np.linalg.qr(np.array([[1.0, 0.37, 0.19], [-0.23, 1.0, 0.41], [0.13, -0.29, 1.0]]))
+    normals = normals @ first.T
+    across = np.cross(normals, np.roll(normals, 1, axis=1))
+    return Arcs(_FAR * normals, normals, across, np.zeros(len(normals)))
+
+
+def _triangles(dual: Array) -> Index | None:
+    """The facets (m, 3) of the hull of points (n, 3) around the origin, counterclockwise from outside."""
+    try:
+        faces: Index = ConvexHull(dual).simplices.astype(np.intp)
+    except (QhullError, ValueError):
+        return None
+    mirrored = np.linalg.det(dual[faces]) < 0
+    faces[mirrored] = faces[mirrored, ::-1]
+    return faces
+
+
+def _apexes(planes: Arcs, triangles: Index) -> tuple[Array, Array]:
+    """The smallest determinant (m,) over all choices of ends, and the apexes (m, 8, 3) of the choices."""
+    ends = ((OCTANTS + 1) // 2).astype(np.intp)
+    normals = planes.ends()[triangles]
+    a, b, c = (normals[:, k, ends[:, k]] for k in range(3))
+    points = planes.points[triangles]
+    origin = points.mean(axis=1)
+    offset = points - origin[:, None]
+    bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    determinant = (a * bc).sum(axis=2)
+    heights = [(n * offset[:, None, k]).sum(axis=2)[..., None] for k, n in enumerate((a, b, c))]
+    apexes = ratio(heights[0] * bc + heights[1] * ca + heights[2] * ab, determinant[..., None])
+    return determinant.min(axis=1), apexes + origin[:, None]
+
+
+# --- where errors are not negligible ---
+
+
 class Outer(NamedTuple):
-    """Triangles (m,) over all directions from the centre, with what is left of the body in each."""
+    """Triangles (m,) over all directions from the centre, behind which a body lies."""
 
     corners: Array
-    """(m, 13, 3) corners of what is left, some of them again; infinite where nothing bounds the body."""
+    """(m, 3, 3); infinite where nothing bounds the body."""
     gap: Array
     """(m,) the largest distance of a corner from the inner body."""
     directions: Array
@@ -388,32 +621,34 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
         a convex `trimesh.Trimesh`, from which distances are measured.
     """
     centre, shape = frame_of(places.points)
+    normals, values = _wedges(cloud, places, turns, centre)
     sphere = trimesh.creation.icosphere(subdivisions=3)
     directions, triangles = sphere.vertices.view(np.ndarray) @ shape, sphere.faces.view(np.ndarray)
-    normals, values = _wedges(cloud, places, turns, centre, AT_ONCE // len(directions))
     distance = nearest_on(inner)
+    normals_of_inner = face_normals(inner)
+    planes = np.column_stack([normals_of_inner, dot(normals_of_inner, inner.triangles[:, 0] - centre)])
 
     def gaps(points: Array) -> Array:
         found = np.full(len(points), np.inf)
         finite = np.isfinite(points).all(axis=1)
-        once, number = np.unique(points[finite], axis=0, return_inverse=True)
-        found[finite] = np.maximum(distance(once)[0], 0.0)[number.reshape(-1)]
+        found[finite] = np.maximum(distance(points[finite])[0], 0.0)
         return found
 
-    reach, known = np.empty((0, len(values))), 0.0
+    reach, beyond, known = np.empty((0, len(values))), np.empty((0, len(values))), 0.0
     parts: list[tuple[Array, Array, Index]] = []
     for left in reversed(range(6)):  # rounds in which triangles are divided into four
         new = directions[len(reach) :]
         entered = _entered(normals, values, new)
-        reach = np.concatenate([reach, entered])
+        outside = (entered - _leaves(planes, new)[:, None]) * np.linalg.norm(new, axis=1)[:, None]
+        reach, beyond = np.concatenate([reach, entered]), np.concatenate([beyond, outside])
         with np.errstate(invalid="ignore"):
             known = max(known, float(gaps(centre + entered.min(axis=1)[:, None] * new).max(initial=0.0)))
-        entered = _least(reach, triangles)
-        bounded = np.isfinite(entered).all(axis=(1, 2))
-        corners = np.full((len(triangles), 13, 3), np.inf)
-        corners[bounded] = centre + _left(entered[bounded]) @ directions[triangles[bounded]]
-        gap = gaps(corners.reshape(-1, 3)).reshape(-1, 13).max(axis=1)
-        coarse = ~(gap <= 1.02 * known) & (left > 0)  # more precisely the wedges need not be followed
+        entered = reach[triangles, _best(beyond, triangles)[:, None]]
+        bounded = np.isfinite(entered).all(axis=1)
+        corners = np.full((len(triangles), 3, 3), np.inf)
+        corners[bounded] = centre + entered[bounded, :, None] * directions[triangles[bounded]]
+        gap = gaps(corners.reshape(-1, 3)).reshape(-1, 3).max(axis=1)
+        coarse = ~(gap <= 1.03 * known) & (left > 0)  # more precisely the wedges need not be followed
         parts.append((corners[~coarse], gap[~coarse], triangles[~coarse]))
         if not coarse.any():
             break
@@ -422,13 +657,14 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
     return Outer(corners, gap, directions[triangles].mean(axis=1), centre)
 
 
-def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array, most: int) -> tuple[Array, Array]:
+def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[Array, Array]:
     """Planes that bound the wedges (k,): normals (k, 4, 3), and their values (k, 4) from the centre, all above 0.
 
-    The first stands for none: no direction enters it.  Of more contacts than `most` neighbours say nearly the same.
+    The first stands for none: no direction enters it.
     """
     assert cloud.tangents is not None
-    rows = evenly(tangential(cloud), most)
+    # of more contacts neighbours say nearly the same
+    rows = evenly(tangential(cloud), 4000)
     arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
     known = np.isfinite(arcs.half_width)
     own, ends = places.select(rows[known]), arcs.ends()[known]
@@ -452,39 +688,19 @@ def _entered(normals: Array, values: Array, directions: Array) -> Array:
     return np.concatenate(parts)
 
 
-def _least(reach: Array, triangles: Index) -> Array:
-    """(m, 3, 3) where rays along the corners of triangles (m, 3) enter three wedges: of all that the three of a triangle enter,
-    by where they begin (v, k), that which leaves least at each corner; infinite where there are none."""
+def _leaves(planes: Array, directions: Array) -> Array:
+    """(v,) where rays from the centre leave the convex body with the planes (f, 4), a normal and its value from the centre."""
     parts = []
-    for block in np.array_split(triangles, 1 + triangles.size * reach.shape[1] // AT_ONCE):
-        entered = reach[block]
-        common: Mask = np.asarray(np.isfinite(entered).all(axis=1, keepdims=True))
-        entered = np.where(common, entered, np.inf)
-        best = entered.argmin(axis=2)[:, :, None]
-        parts.append(entered[np.arange(len(block))[:, None, None], np.arange(3), best])
+    for block in np.array_split(directions, 1 + len(directions) * len(planes) // AT_ONCE):
+        along = block @ planes[:, :3].T
+        parts.append(np.where(along > 0, ratio(planes[:, 3], along), np.inf).min(axis=1))
     return np.concatenate(parts)
 
 
-def _left(entered: Array) -> Array:
-    """Corners (m, 13, 3), as multiples of a triangle's own, of what three wedges leave of the cones over triangles.
-
-    The wedges' rows of ``entered`` (m, 3, 3) say where the corners' rays enter them.  What is left ends on each ray where the
-    first wedge begins, so that all corners lie on the triangle's own rays, where two wedges begin together on its sides, or all
-    three.  Rounding moves them along what is left, and so changes nothing.
-    """
-    inverse = 1 / entered
-    apart = inverse[:, [0, 0, 1]] - inverse[:, [1, 2, 2]]
-    on_sides = np.zeros((len(entered), 3, 3, 3))
-    for side, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
-        on_sides[:, side, :, j] = np.nan_to_num(ratio(apart[..., i], apart[..., i] - apart[..., j])).clip(0, 1)
-        on_sides[:, side, :, i] = 1 - on_sides[:, side, :, j]
-    inside = np.cross(apart[:, 0], apart[:, 1])
-    inside *= np.copysign(1.0, inside.sum(axis=1, keepdims=True))
-    known: Mask = np.asarray((inside >= 0).all(axis=1) & inside.any(axis=1))
-    inside[~known] = [1.0, 0.0, 0.0]
-    own = np.broadcast_to(np.eye(3), inverse.shape)
-    rays = np.concatenate([own, on_sides.reshape(-1, 9, 3), inside[:, None]], axis=1)
-    return np.asarray(rays / (rays @ inverse.swapaxes(1, 2)).max(axis=2)[..., None])
+def _best(beyond: Array, triangles: Index) -> Index:
+    """(m,) numbers of the wedges that leave least in the triangles, by how far (v, k) they begin beyond the inner body."""
+    blocks = np.array_split(triangles, 1 + triangles.size * beyond.shape[1] // AT_ONCE)
+    return np.concatenate([beyond[block].max(axis=1).argmin(axis=1) for block in blocks])
 
 
 def _divided(vertices: Array, triangles: Index) -> tuple[Array, Index]:

@@ -1,8 +1,8 @@
 """An inner and an outer body from touch alone, between which the surface of the true body lies.
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
-leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere wedges
-(`scan3d.bounds.constraints`).  Whatever is left is known by its corners: the distance to a convex set is a convex
+leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
+apexes (`scan3d.bounds.constraints`).  Whatever is left is known by its corners: the distance to a convex set is a convex
 function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is
 therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where
 contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated
@@ -10,18 +10,19 @@ confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else i
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
-K.  H, the hull of the points r, lies in K, and K in the hull of the corners v that wedges leave.  The Hausdorff distance of two
+K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the apexes v.  The Hausdorff distance of two
 convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
 ``sd(x, S) = max_u (<u, x> - h_S(u))``, the distance of a point x from S, negative inside, any convex surface S satisfies
 
-    h_B - h_S = h_K - a - h_S <= max over corners v of sd(v, S) - a,
+    h_B - h_S = h_K - a - h_S <= max over apexes v of sd(v, S) - a,
     h_S - h_B = h_S + a - h_K <= h_S + a - h_H <= max over vertices x of S of sd(x, H) + a.
 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``. The smallest of these numbers counts at each vertex.  Where contacts
-have errors, H may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below
-the body, if it is known, is one more supporting plane of K, moved outwards by the rod's radius.
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.constraints`), whose errors are those across the rod, and H
+may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it
+is known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -47,8 +48,8 @@ from scan3d.bounds.constraints import (
     CONFIDENCE,
     EXACT,
     Allowed,
-    Tangents,
     allowed,
+    best_apexes,
     exact_error,
     outer_body,
     tangent_planes,
@@ -57,7 +58,7 @@ from scan3d.bounds.noise import confident
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
-from scan3d.geometry.distance import nearest
+from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
 from scan3d.geometry.triangles import dot, face_normals
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
@@ -86,10 +87,10 @@ class SlabCorners(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """Directions in which a body may be unbounded: those of a triangle are the ones in which its middle lies farthest."""
+    """Directions in which a body may be unbounded: those of a triangle are the ones in which its apex lies farthest."""
 
-    middles: Array
-    """(m, 3) of the corners of what is left of the body in each triangle."""
+    apexes: Array
+    """(m, 3)"""
     open: Mask
     """(m,) whether nothing bounds the body in the directions of the triangle."""
 
@@ -123,7 +124,7 @@ class Enclosure(Described):
     slabs: SlabCorners | None = None
     """More about the corners, if the outer body consists of slabs."""
     directions: Directions | None = None
-    """Where the body is bounded, if the corners are those of wedges of contacts anywhere."""
+    """Where the body is bounded, if the corners are apexes over contacts anywhere."""
     tighter: Enclosure | None = None
     """Another enclosure by the same contacts, along whatever axes their slices lie, with a smaller bound."""
 
@@ -308,7 +309,7 @@ def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
     tangent = tangent_planes(anywhere, np.full(len(cloud), exact_error(cloud)))
-    corners = tangent.enclosing(bounds.corners, bounds.bound)
+    corners = tangent.enclosing(bounds.corners)
     gap = np.maximum(nearest(corners, bounds.inner)[0], 0.0)
     return _tightened(bounds, corners, gap, exact_error(cloud))
 
@@ -483,9 +484,9 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
     if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
-        places, exact = _certain(cloud, errors), tangent_planes(cloud, errors) if cloud.place_sd is None else None
-        turns = _TURN * errors / cloud.rod_length if exact is None else np.full(len(cloud), EXACT)
-        return _by_wedges(cloud, places, turns, 1.0, exact)
+        if cloud.place_sd is None:
+            return _by_apexes(cloud, errors, 1.0)
+        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 1.0)
     allow = allowed(cloud, confidence)
     places, turns = _certain(cloud, errors + allow.place), np.zeros(len(cloud))
     if cloud.place_sd is not None:
@@ -506,41 +507,50 @@ def _certain(cloud: Cloud, errors: Array) -> Places:
     return Places(cloud.centre_points, errors)
 
 
-def _by_wedges(
-    cloud: Cloud, places: Places, turns: Array, confidence: float, exact: Tangents | None = None
-) -> Enclosure:
-    """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians.
+def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud with exact tangents and errors (n,) of their places."""
+    assert cloud.centre_points is not None
+    tangent = tangent_planes(cloud, errors)
+    centre_hull = hull(cloud.centre_points)
+    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
+    apexes = best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
+    if apexes is None:
+        corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
+    else:
+        corners = np.unique(tangent.to_world(apexes.cover.apexes[~apexes.open].reshape(-1, 3)), axis=0)
+        directions = Directions(tangent.to_world(apexes.cover.nominal), apexes.open)
+    margin, normals = float(errors.max()), tangent.normals()
+    bodies = ((centre_hull, cloud.rod_radius + margin), *_bodies_by_arcs(cloud, tangent.rows, normals, margin))
+    inner = _inner_body(cloud, centre_hull)
+    return _anywhere(cloud, (inner, bodies, margin), corners, directions, confidence)
 
-    exact
-        the planes of tangents without errors, which bound polyhedra more tightly, and the points of the surface.
-    """
+
+def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
     candidates = []
-    largest, radius = places.largest(), cloud.rod_radius
+    largest = places.largest()
     # contacts with larger errors are left out of the inner body, and the best bound is taken
-    for limit in np.unique(np.quantile(largest, (0.5, 0.7, 0.85, 1.0)))[::-1]:
-        kept = largest <= limit
+    for quantile in (1.0, 0.85, 0.7, 0.5):
+        kept = largest <= np.quantile(largest, quantile)
         with suppress(InputError):
             some = cloud.select(kept)
             centre_hull = hull(places.points[kept])
             margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
-            further = () if exact is None else _bodies_by_arcs(cloud, exact.rows, exact.normals(), margin)
-            candidates.append((inner, ((centre_hull, radius + margin), *further), margin))
+            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
     if not candidates:
         hull(places.points)  # raises InputError, which says why
     found = outer_body(cloud, places, turns, candidates[0][0])
     is_open = np.isinf(found.gap)
-    corners = [np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)]
-    if exact is not None and not is_open.any():
-        corners.append(exact.enclosing(corners[0], float(found.gap.max())))
+    corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
     # what stands for the body where nothing bounds it
     far = 1e3 * float(np.linalg.norm(np.ptp(places.points, axis=0)))
-    middles = np.where(
+    apexes = np.where(
         is_open[:, None],
         found.centre + far * unit(found.directions),
         np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
     )
-    directions = Directions(middles, is_open)
-    bounds = [_anywhere(cloud, within, of, directions, confidence) for within in candidates for of in corners]
+    directions = Directions(apexes, is_open)
+    bounds = [_anywhere(cloud, within, corners, directions, confidence) for within in candidates]
     return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
 
 

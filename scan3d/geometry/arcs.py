@@ -75,6 +75,12 @@ class Arcs(NamedTuple):
         cos, sin = np.cos(self.half_width)[:, None], np.sin(self.half_width)[:, None]
         return np.stack([cos * self.middle - sin * self.across, cos * self.middle + sin * self.across], axis=1)
 
+    def depths(self, points: Array) -> Array:
+        """How far (m, n) points (m, 3) lie beyond the planes, by the end of the arc at which it is least."""
+        ends = self.ends()
+        offset = (ends * self.points[:, None]).sum(axis=2)
+        return np.minimum(*(points @ ends[:, k].T - offset[:, k] for k in range(2)))
+
     def moved(self, move: Array) -> Arcs:
         """The planes moved outwards by at least `move` (n,), whichever normals of their arcs they have."""
         with np.errstate(invalid="ignore"):
