@@ -107,14 +107,6 @@ def test_with_noise_the_contacts_come_back_within_what_is_stated(tmp_path, recor
         _, here, there = np.intersect1d(rows[cloud.row], truth.row, return_indices=True)
         distance = np.linalg.norm(cloud.points[here] - truth.points[there], axis=1)
         assert np.percentile(distance / cloud.place_sd[here], 95) < 2.6  # of two directions: 2.45
-    # a recording with noise, rod and source is read back bit for bit
-    for name in ("log.csv", "log.parquet"):
-        scan3d.write_recording(found.recording, tmp_path / name)
-        again = scan3d.read_recording(tmp_path / name)
-        for field in dataclasses.fields(again):
-            one, other = getattr(found.recording, field.name), getattr(again, field.name)
-            same = one.tobytes() == other.tobytes() if isinstance(one, np.ndarray) else one == other
-            assert same, (name, field.name)
 
 
 SOME = st.floats(-1, 1, allow_nan=False)

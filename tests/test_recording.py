@@ -44,16 +44,28 @@ def same(a, b):
     )
 
 
-def test_what_was_written_is_read_bit_for_bit(tmp_path):
-    recording = random_recording(
-        noise_force_N=0.1 / 3,
-        noise_moment_Nm=1e-9 / 3,
-        unit="um",
-        source={"rig": 'No. 3 "old"', "seed": 4, "µ": [0.1, 0.2]},
-    )
-    write_recording(recording, tmp_path / "log.csv")
-    assert same(read_recording(tmp_path / "log.csv"), recording)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
+SIX = dict(
+    force_z_N=np.array([0.1, -0.2, 1 / 3]), moment_x_Nm=np.array([1e-3, 2 / 3, 0.0]), moment_y_Nm=np.full(3, 1e-9)
+)
+NOISE = dict(noise_force_N=0.1 / 3, noise_moment_Nm=1e-9 / 3)
+SOURCE = dict(unit="um", source={"rig": 'No. 3 "old"', "seed": 4, "µ": [0.1, 0.2]})
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    "given",
+    [NOISE | SOURCE, dict(n=3, rod=Rod(1 / 3, 1e-4 / 3, 1e-3)) | SIX, dict(rod=Rod.wire(0.05, 0.3e-3, 210e9))],
+    ids=["noisy", "in space", "of a wire"],
+)
+def test_what_was_written_is_read_bit_for_bit(tmp_path, given, ending):
+    recording, path = random_recording(**given), tmp_path / f"log{ending}"
+    write_recording(recording, path)
+    assert same(read_recording(path), recording)
+    assert {p.name for p in tmp_path.iterdir()} == {path.name, "log.toml"}
+    assert ("diameter" in (tmp_path / "log.toml").read_text()) == (recording.rod.diameter_m > 0)
+    if ending == ".csv":
+        further = ",fz_N,mx_Nm,my_Nm" if recording.six_axis else ""
+        assert path.read_text().splitlines()[0] == HEADER + further
 
 
 def test_a_recording_by_hand(tmp_path):
@@ -87,32 +99,6 @@ def test_other_programs_tables(tmp_path, table):
     plain.mkdir()
     other.mkdir()
     assert same(read_recording(write(other, table)), read_recording(write(plain)))
-
-
-SIX = dict(
-    force_z_N=np.array([0.1, -0.2, 1 / 3]), moment_x_Nm=np.array([1e-3, 2 / 3, 0.0]), moment_y_Nm=np.full(3, 1e-9)
-)
-
-
-def test_six_axes_are_written_and_read_back(tmp_path):
-    recording = random_recording(3, rod=Rod(1 / 3, 1e-4 / 3, 1e-3), **SIX)
-    write_recording(recording, tmp_path / "log.csv")
-    assert (tmp_path / "log.csv").read_text().splitlines()[0] == HEADER + ",fz_N,mx_Nm,my_Nm"
-    back = read_recording(tmp_path / "log.csv")
-    assert back.six_axis
-    assert back.rod == recording.rod
-    for name in SIX:
-        assert getattr(back, name).tobytes() == getattr(recording, name).tobytes()
-    assert back.force_N.tobytes() == recording.force_N.tobytes()
-
-
-def test_planar_recordings_are_written_without_six_axes_and_with_the_diameter_that_is_known(tmp_path):
-    for rod in (Rod.wire(0.05, 0.3e-3, 210e9), Rod(0.05, 1e-4)):
-        write_recording(random_recording(3, rod=rod), tmp_path / "log.csv")
-        assert ("diameter" in (tmp_path / "log.toml").read_text()) == (rod.diameter_m > 0)
-        back = read_recording(tmp_path / "log.csv")
-        assert back.rod == rod
-        assert not back.six_axis
 
 
 @pytest.mark.parametrize("given", [("fz_N",), ("fz_N", "mx_Nm"), ("my_Nm",)])
