@@ -8,6 +8,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from raw_tables import Rig, map_of
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -28,19 +29,10 @@ pytestmark = pytest.mark.slow
 
 def a_map(**sections):
     """The map of the table: everything in SI units."""
-    return {
-        "columns": {
-            "time": "t",
-            "sweep": "n",
-            "position": ["x", "y", "z"],
-            "orientation": {"quaternion": ["qw", "qx", "qy", "qz"]},
-            "force": ["Fx", "Fy", "Fz"],
-            "moment": ["Tx", "Ty", "Tz"],
-        },
-        "units": {"time": "s", "length": "m", "force": "N", "moment": "N m"},
-        "rod": rod_section(rigs.ROD),
-        **sections,
-    }
+    units = {"time": "s", "length": "m", "force": "N", "moment": "N m"}
+    made = map_of(rigs.ROD, Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), units=units) | sections
+    made["columns"] |= {"sweep": "n", "orientation": {"quaternion": ["qw", "qx", "qy", "qz"]}}
+    return made
 
 
 def true_frames():
