@@ -23,8 +23,8 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/test ## run all tests but the long ones of make trust (about nine minutes on two cores)
-	@echo "All tests, $(WORKERS) at a time: about nine minutes on two cores.  make fast takes two."
+test: .venv/test ## run all tests but the long ones of make trust (about eight minutes on two cores)
+	@echo "All tests, $(WORKERS) at a time: about eight minutes on two cores.  make fast takes two."
 	$(PYTEST) $(ARGS)
 
 fast: .venv/test ## run the tests that are not marked slow (two minutes on two cores)
