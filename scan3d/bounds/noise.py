@@ -135,16 +135,13 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
         return None
     # poses that are off move the lines outwards as well, and the corners of their polygon by more than the lines
     off = stack.height_error * (1 + kappa * cloud.normal_sd[rows][lines])
-    support_lines = _Lines(
-        points[lines] + off[:, None] * normals[order][lines],
-        normals[order][lines],
-        covariance[lines],
-        cloud.normal_sd[rows][lines],
-        cloud.rod_length,
-        *(np.broadcast_to(column, len(cloud))[rows][lines] for column in (allow.across, allow.tilt)),
-    )
-    between = 0 if stack.height_error else _DIRECTIONS
-    angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa, between)
+    angle, value, normals = np.empty(0), np.empty(0), normals[order][lines]
+    if len(normals) >= 3:
+        places, of_normals = points[lines] + off[:, None] * normals, cloud.normal_sd[rows][lines]
+        of_errors = tuple(np.broadcast_to(part, len(cloud))[rows][lines] for part in (allow.across, allow.tilt))
+        of_lines = None if sweep is None else sweep[lines]
+        moved = _lines(places, normals, covariance[lines], of_normals, of_errors, of_lines, kappa, cloud.rod_length)
+        angle, value = _outer_lines(*moved, places, inner, 0 if stack.height_error else _DIRECTIONS)
     return replace(
         slice_,
         points=inner,
@@ -185,15 +182,12 @@ def _inner_polygon(
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
     bias = _bias(covariance, length)
-    single = evenly(np.arange(len(points)), _SINGLE)
-    place = np.concatenate([points[single], averages.mean(points)])
-    spread = np.concatenate([covariance[single], averages.variance(covariance)])
+    means, _ = _with_single(averages, len(points), kappa)
+    place, spread, biased, sigma = means.mean(points), means.variance(covariance), means.mean(bias), means.kappa
     entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
     # the largest error of a mean by the calibration is at most the root of the mean square
-    shifts = np.concatenate([rig[single], averages.mean(rig)])
+    shifts = means.mean(rig)
     of_rig = np.stack([shifts[:, 0, 0], shifts[:, 0, 1], shifts[:, 1, 1]], axis=1) if rig.any() else None
-    biased = np.concatenate([bias[single], averages.mean(bias)])
-    sigma = np.concatenate([np.full(len(single), kappa), averages.kappa])
 
     def reach(u: Array) -> Array:
         """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
@@ -248,100 +242,80 @@ def _quadratic(directions: Array, covariance: Array) -> Array:
     return np.maximum(value, 0.0)
 
 
-class _Lines:
-    """Support lines (k,) of tangential contacts, with the errors across and along them, and those by the calibration."""
+def _lines(
+    points: Array,
+    normals: Array,
+    covariance: Array,
+    normal_sd: Array,
+    of_rig: tuple[Array, ...],
+    sweep: NDArray[np.int32] | None,
+    kappa: float,
+    length: float,
+) -> tuple[Array, Callable[[Array], Array]]:
+    """Normals (k, 2) of the support lines of contacts (n,), and of means of several, and a function of the corners (v, 2) of a
+    polygon around the section, which gives their values (k,), moved outwards by their errors.
 
-    def __init__(
-        self,
-        points: Array,
-        normals: Array,
-        covariance: Array,
-        normal_sd: Array,
-        length: float,
-        rig_across: Array,
-        rig_tilt: Array,
-    ) -> None:
-        self.points, self.normals, self.normal_sd = points, normals, normal_sd
-        self.tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-        self.offset = (normals * points).sum(axis=1)
-        self.across, self.along = (np.sqrt(_quadratic(u, covariance)) for u in (normals, self.tangents))
-        self.bias = _bias(covariance, length)
-        self.rig_across, self.rig_tilt = rig_across, rig_tilt
+    of_rig
+        (n,) largest errors of places across the lines, and of the lines' angles, by the calibration.
+    """
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    across, along = (np.sqrt(_quadratic(u, covariance)) for u in (normals, tangents))
+    means, alone = _with_single(averages_of(points, sweep, across**2, kappa), len(points), kappa)
+    row, group, kappas = means.row, means.group, means.kappa
+    middle, normal = means.mean(points), means.mean(normals)
+    size = np.linalg.norm(normal, axis=1)
+    normal /= size[:, None]
+    apart = (tangents[row] * (middle[group] - points[row])).sum(axis=1)
+    aslant = (tangents[row] * normal[group]).sum(axis=1)
+    arm, turn = (
+        np.sqrt(np.bincount(group, (means.weight * normal_sd[row] * part) ** 2, len(kappas)))
+        for part in (apart, aslant)
+    )
+    # errors of the calibration have the same sign in all lines
+    rig_across, rig_tilt = (means.mean(column) for column in of_rig)
+    rig_across += np.bincount(group, means.weight * of_rig[1][row] * np.abs(apart), len(kappas))
+    tilt = kappas * np.sqrt(means.variance(normal_sd**2)) + rig_tilt
+    # the product of two errors has a mean, which averaging keeps, and that of a single contact is the product of the largest
+    products = tilt * kappas * means.mean(along) + means.mean(_bias(covariance, length))
+    products = np.where(alone, products, 2 * means.mean(normal_sd * along))
+    offset, across_normal = means.mean((normals * points).sum(axis=1)) / size, normal[:, ::-1] * [-1.0, 1.0]
+    move = kappas * (np.sqrt(means.variance(across**2)) + arm) + rig_across + products
+    turn, scale = np.where(alone, 0.0, kappas * turn + rig_tilt), np.where(alone, 1 - tilt**2, size)
 
-    def moved(self, corners: Array, rows: Index, kappa: float) -> Array:
-        """(r,) values of some of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
-        normals, tangents, offset = self.normals[rows], self.tangents[rows], self.offset[rows]
-        extent, _ = beyond(corners, self.points[rows], normals, tangents, offset)
-        across, along = kappa * self.across[rows] + self.rig_across[rows], kappa * self.along[rows]
-        tilt = kappa * self.normal_sd[rows] + self.rig_tilt[rows]
-        return offset + (across + tilt * (extent + along) + self.bias[rows]) / (1 - tilt**2)
+    def values(corners: Array) -> Array:
+        extent, height = beyond(corners, middle, normal, across_normal, offset)
+        return offset + (move + tilt * extent + turn * height) / scale
+
+    return normal, values
 
 
 def _outer_lines(
-    lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float, between: int
+    normals: Array, moved: Callable[[Array], Array], points: Array, inner: Array, between: int
 ) -> tuple[Array, Array]:
     """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close.
 
+    normals, moved
+        of the lines, as from `_lines`, of contacts at points (n, 2).
     between
         number of directions beside those of the polygon's sides.
     """
-    if len(lines.points) >= 3:
-        averaged = _Averaged(lines, averages_of(lines.points, sweep, lines.across**2, kappa))
-        single = evenly(np.arange(len(lines.points)), _SINGLE)
-        low, high = lines.points.min(axis=0), lines.points.max(axis=0)
-        box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
-        normals = np.concatenate([lines.normals[single], averaged.normals, box_normals])
-        # by this fraction of the contacts' size, on each side; the second is tried where the first is too small
-        for widened in float(np.linalg.norm(high - low)) * np.array([0.1, 2.0]):
-            box = np.concatenate([high + widened, -(low - widened)])
-            found = polygon_of_lines(box_normals, box, inner.mean(axis=0))
-            for _ in range(4):
-                if found is not None:
-                    values = [lines.moved(found[0], single, kappa), averaged.moved(found[0]), box]
-                    found = polygon_of_lines(normals, np.concatenate(values), inner.mean(axis=0))
-            # the rectangle proves nothing where it bounds the polygon itself
-            if found is not None and found[1].max() < len(normals) - len(box):
-                corners, sides = found
-                uniform = 2 * np.pi * np.arange(between) / max(between, 1) - np.pi
-                angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), uniform]))
-                return angle, (_directions(angle) @ corners.T).max(axis=1)
+    low, high = points.min(axis=0), points.max(axis=0)
+    box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+    normals = np.concatenate([normals, box_normals])
+    # by this fraction of the contacts' size, on each side; the second is tried where the first is too small
+    for widened in float(np.linalg.norm(high - low)) * np.array([0.1, 2.0]):
+        box = np.concatenate([high + widened, -(low - widened)])
+        found = polygon_of_lines(box_normals, box, inner.mean(axis=0))
+        for _ in range(4):
+            if found is not None:
+                found = polygon_of_lines(normals, np.append(moved(found[0]), box), inner.mean(axis=0))
+        # the rectangle proves nothing where it bounds the polygon itself
+        if found is not None and found[1].max() < len(normals) - len(box):
+            corners, sides = found
+            uniform = 2 * np.pi * np.arange(between) / max(between, 1) - np.pi
+            angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), uniform]))
+            return angle, (_directions(angle) @ corners.T).max(axis=1)
     return np.empty(0), np.empty(0)
-
-
-class _Averaged:
-    """Support lines of averages."""
-
-    def __init__(self, lines: _Lines, averages: Averages) -> None:
-        average = averages.mean(lines.normals)
-        self.length = np.linalg.norm(average, axis=1)
-        self.normals = average / self.length[:, None]
-        self.tangents = np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
-        self.points = averages.mean(lines.points)
-        self.offset = averages.mean(lines.offset) / self.length
-        self.kappa = averages.kappa
-        row, group = averages.row, averages.group
-        tangent = lines.tangents[row]
-        arm = lines.normal_sd[row] * (tangent * (self.points[group] - lines.points[row])).sum(axis=1)
-        turn = lines.normal_sd[row] * (tangent * self.normals[group]).sum(axis=1)
-        self.across = np.sqrt(averages.variance(lines.across**2))
-        self.tilt = np.sqrt(averages.variance(lines.normal_sd**2))
-        self.arm, self.turn = (
-            np.sqrt(np.bincount(group, (averages.weight * part) ** 2, len(self.kappa))) for part in (arm, turn)
-        )
-        # errors of the calibration have the same sign in all lines
-        self.rig_tilt = averages.mean(lines.rig_tilt)
-        apart = np.abs((tangent * (self.points[group] - lines.points[row])).sum(axis=1))
-        arms = np.bincount(group, averages.weight * lines.rig_tilt[row] * apart, len(self.kappa))
-        self.rig_across = averages.mean(lines.rig_across) + arms
-        # the product of two errors has a mean, which averaging keeps
-        self.products = 2 * averages.mean(lines.normal_sd * lines.along)
-
-    def moved(self, corners: Array) -> Array:
-        """(k,) values of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
-        extent, height = beyond(corners, self.points, self.normals, self.tangents, self.offset)
-        spread = self.across + self.tilt * extent + self.arm + self.turn * height
-        rig = self.rig_across + self.rig_tilt * (extent + height)
-        return self.offset + (self.kappa * spread + self.products + rig) / self.length
 
 
 class Averages(NamedTuple):
@@ -372,6 +346,18 @@ class Averages(NamedTuple):
     @staticmethod
     def _shaped(weight: Array, values: Array) -> Array:
         return weight.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _with_single(means: Averages, count: int, kappa: float) -> tuple[Averages, Mask]:
+    """The means of so many rows with means of single rows before them, and which (g,) these are."""
+    single = evenly(np.arange(count), _SINGLE)
+    joined = Averages(
+        np.append(single, means.row),
+        np.append(np.arange(len(single)), len(single) + means.group),
+        np.append(np.ones(len(single)), means.weight),
+        np.append(np.full(len(single), kappa), means.kappa),
+    )
+    return joined, np.arange(len(joined.kappa)) < len(single)
 
 
 def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array, kappa: float) -> Averages:
