@@ -23,7 +23,7 @@ HEIGHTS = np.linspace(-27.3, 27.3, 30)
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    monkeypatch.setattr(module, "_CELLS", 250_000)
+    monkeypatch.setattr(module, "AT_ONCE", 250_000)
 
 
 @functools.cache

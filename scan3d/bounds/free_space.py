@@ -42,7 +42,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from planar.hidden import SNAPPED
-from scan3d.arrays import Array, Index, Mask, ranges, ratio
+from scan3d.arrays import AT_ONCE, Array, Index, Mask, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -392,8 +392,6 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
     return Contours(points, distance + sheet.cell / np.sqrt(2))
 
 
-# Cells of the grid.
-_CELLS = 4_000_000
 # Cells in R at least, and cells around the balls.
 _COARSEST, _AROUND = 4.0, 3
 _EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
@@ -510,7 +508,7 @@ class _Grid:
     @classmethod
     def around(cls, points: Array, R: float) -> _Grid:
         low, high = points.min(axis=0) - R, points.max(axis=0) + R
-        step = float(np.prod(high - low) / _CELLS) ** (1 / 3)
+        step = float(np.prod(high - low) / AT_ONCE) ** (1 / 3)
         count = np.ceil((high - low) / step).astype(int) + 2 * _AROUND + 1
         return cls(low - _AROUND * step, step, (int(count[0]), int(count[1]), int(count[2])))
 

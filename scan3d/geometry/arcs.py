@@ -20,14 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index, Mask, ratio
+from scan3d.arrays import AT_ONCE, Array, Index, Mask, ratio
 from scan3d.geometry.triangles import dot
 
 # Neighbours of a point that are tried on every level of the search, by how many times the points of one level exceed those of
 # the next, and neighbours of a vertex of the hull that the search moves to.
 _NEIGHBOURS, _THINNED, _DEGREE = 12, 6, 12
-# Points that are searched at once, which limits the memory.
-_BLOCK = 8192
 
 
 class Places(NamedTuple):
@@ -104,8 +102,8 @@ def arcs_at(places: Places, tangents: Array, turns: Array, body: Places, edges: 
     adjacent, levels = _adjacency(edges, len(body.points)), _levels(body.points)
     centre = body.points.mean(axis=0)
     parts = [Arcs(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
-    for first in range(0, len(places.points), _BLOCK):
-        rows = np.arange(first, min(first + _BLOCK, len(places.points)))
+    every = np.arange(len(places.points))
+    for rows in np.array_split(every, 1 + 3 * _NEIGHBOURS * len(levels) * len(every) // AT_ONCE):
         block = places.select(rows)
         sight = _Sight(block, tangents[rows], turns[rows], centre, body)
         near = [

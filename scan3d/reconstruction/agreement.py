@@ -31,6 +31,7 @@ all errors of the given size at once (`scan3d.rigs.RigErrors.factor`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -40,7 +41,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtri
 
 import planar
-from scan3d.arrays import Array, Index, Mask, evenly, ratio
+from scan3d.arrays import AT_ONCE, Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, LeftOut, Tilt
 from scan3d.reconstruction.contacts import (
     contacts,
@@ -81,8 +82,8 @@ LARGEST_SHARE = 0.1
 """Largest part of the rows with a force that may be left out; where more contradict the rest, nothing is certified."""
 FALSE_ALARM = 1e-5
 """Probability that noise makes a correct recording exceed the allowed distances."""
-# Contacts, tangents, and contacts of the hull that are compared at most.
-COMPARED = 1500
+COMPARED = math.isqrt(AT_ONCE)
+"""Contacts, tangents, and contacts of the hull that are compared at most, each with each."""
 
 
 class Contradiction(NamedTuple):

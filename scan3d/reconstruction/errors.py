@@ -34,8 +34,8 @@ from scan3d.spatial.march import reshaped
 
 LARGEST_TOLERANCE = 0.5
 """Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
-# A contact counts as one of the tip if it lies within this many standard deviations of it, by the noise or by the calibration.
-_TIP_SIGMAS = 5.0
+SIGMAS = 5.0
+"""Standard deviations by which noise or calibration may put a contact at the tip, or into what another sweep has passed."""
 # Which reactions each model reads, of the six.
 _REACTIONS = {"planar": IN_PLANE, "spatial": np.arange(6)}
 RIGHT_ROWS = 0.05
@@ -56,7 +56,7 @@ def contact_tolerance(error: planar.Errors) -> Array:
 
 def tip_sigmas(s1: Array) -> Array:
     """(n,) distances to the tip that count as zero, by the standard deviations (n,) of the arc length."""
-    return np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, LARGEST_TOLERANCE)
+    return np.clip(SIGMAS * s1, planar.TOLERANCE, LARGEST_TOLERANCE)
 
 
 def too_light(largest: Array, touching: Mask) -> Mask:
@@ -220,7 +220,7 @@ def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, mo
     widened = np.zeros(len(recording))
     for rows in _blocks(np.flatnonzero(felt)):
         s1 = np.linalg.norm(effects(recording, rows, model).s1, axis=1)
-        widened[rows] = np.where(np.isfinite(s1), _TIP_SIGMAS * s1, 0.0)
+        widened[rows] = np.where(np.isfinite(s1), SIGMAS * s1, 0.0)
     return np.asarray(np.clip(np.hypot(tolerance, widened), planar.TOLERANCE, LARGEST_TOLERANCE))
 
 

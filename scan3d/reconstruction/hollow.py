@@ -21,13 +21,10 @@ from scipy.spatial import cKDTree
 import planar
 from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.reconstruction.errors import contact_tolerance, felt, tip_tolerance
+from scan3d.reconstruction.errors import SIGMAS, contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 from scan3d.workers import shared
-
-# Standard deviations of a place by which noise may put a contact into what was passed.
-_DEVIATIONS = 5.0
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
@@ -122,7 +119,7 @@ class _Rows:
         What is known worse than a contact confirms it no better for that.
         """
         found = np.zeros(len(asked), dtype=bool)
-        error, own = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf), int(asked is others)
+        error, own = SIGMAS * np.nan_to_num(self.errors.largest, posinf=np.inf), int(asked is others)
         for plane, members in self._slices():
             rows = np.concatenate(members)
             rows, known = rows[asked[rows]], rows[others[rows]]
@@ -148,7 +145,7 @@ class _Rows:
 
     def _contradicting(self, asked: Mask, slices: Sequence[tuple[Array, list[Index]]]) -> list[Index]:
         single = asked | ~self.pressed
-        error = _DEVIATIONS * np.nan_to_num(self.errors.largest, posinf=np.inf)
+        error = SIGMAS * np.nan_to_num(self.errors.largest, posinf=np.inf)
         found: list[Index] = []
         for plane, members in slices:
             rows = np.concatenate(members)

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio, unit
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask, ratio, unit
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.arcs import Places, arcs_at
 from scan3d.geometry.hulls import edges_of, hull_about_mean
@@ -48,8 +48,6 @@ _PER_COEFFICIENT, _TO_TRY = 4, 10
 _HOPELESS = 2e-2
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
-# Contacts whose depths below all facets are computed at once, for memory.
-_BLOCK = 256
 
 
 def with_smooth_fit(cloud: Cloud) -> Cloud:
@@ -211,8 +209,8 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
     """
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
     middle, width, edges = np.empty_like(points), np.empty(len(points)), np.empty_like(points)
-    for first in range(0, len(points), _BLOCK):
-        part = points[first : first + _BLOCK]
+    for rows in np.array_split(np.arange(len(points)), 1 + len(points) * len(normals) // AT_ONCE):
+        part = points[rows]
         depth = -(part @ normals.T + offsets)
         nearest = depth.min(axis=1)
         # pairs of points and facets that they lie on, of which every point has one at least
@@ -226,7 +224,6 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         # the facet of each point whose normal is farthest from the axis
         at_most = np.flatnonzero(~(cosine > smallest[point]))
         farthest = at_most[np.searchsorted(point[at_most], np.arange(len(part)))]
-        rows = slice(first, first + _BLOCK)
         edge = np.cross(axis, normal[farthest])
         size = np.linalg.norm(edge, axis=1)
         edge = ratio(edge, size[:, None])
