@@ -482,7 +482,6 @@ def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep
 
 
 def _clear(swept: Sweep, samples: Mask) -> None:
-    """Samples without contact."""
     for column in (swept.f0x, swept.f0y, swept.m0z, swept.s1, swept.slope, swept.point):
         column[samples] = np.nan
     swept.phase[samples] = Phase.NONE

@@ -1,25 +1,18 @@
-"""What contacts say of a body that contains them: arcs of supporting planes, and how far errors move these outwards.
+"""What contacts say of a body that contains them: supporting planes, and how far errors move these outwards.
 
-A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geometry.arcs`).  All bounds are made of such arcs:
-contacts in slices use one end of them on either side of their slice, contacts anywhere the places where three of them meet.
-What noise, digits and the rig's calibration leave uncertain moves the planes outwards.
+A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geometry.arcs`), whose normals n lie between two
+ends.  With the errors e of the place and ε of the tangent by noise, digits and the rig's calibration, the body leaves out the
+wedge of all x with ``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` at both ends.  Contacts in slices use one end on either side
+of their slice.  Of contacts anywhere planes bound the body together, in triangles of directions:
 
-Three planes meet in an apex (S28; the manual has the proof, in `docs/model.md`).  Let the middles ν_i of the arcs be
-triangulated as points of the sphere, such that ``det(n_i, n_j, n_k)`` is positive in every triangle for all 8 choices of ends
-of its arcs.  Then ``h_K(u) <= <u, a>`` with an apex a of the triangle of the direction u, and every convex function of the
-apex is largest at one of the 8 choices.  The triangles are those of the polar dual of the polytope that the planes with the
-normals ν_i enclose.  Planes far away close it where no normals are known; apexes on them are infinite.
-
-Every choice of planes gives a valid bound.  A coarse one is refined where the apexes lie farthest outside: the plane is added
-that cuts off most of the apex, whichever normals of their arcs the planes have, and a plane with a wide arc is removed where no
-other plane cuts the apex off.  The best choice met is taken.
-
-Where errors are not negligible, each contact alone leaves out a wedge, of the points x with
-``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of its arc, with the error e of the place and ε
-of the tangent t.  Where a wedge contains the corners of a triangle as seen from a centre, the body lies behind the triangle
-there.  Triangles over all directions give the outer body; in each of them that contact is taken which leaves least.  The
-farthest of them are divided until the bound is nearly that of the union of all wedges, which is all that the contacts one by
-one say of K.
+- exact ones by the apex of three planes (S28; `docs/model.md` has the proof).  Let the middles ν_i of the arcs be
+  triangulated on the sphere, such that ``det(n_i, n_j, n_k)`` is positive in every triangle for all 8 choices of ends of its
+  arcs.  Then ``h_K(u) <= <u, a>`` with an apex a of the triangle of u, and every convex function of the apex is largest at one
+  of the 8 choices.  The triangles are those of the polar dual of the polytope of the planes with the normals ν_i; planes far
+  away close it where no normals are known.  Where apexes lie farthest outside, the plane is added that cuts off most, whichever
+  normals it has, and one with a wide arc is removed where none does.  The best choice met is taken;
+- uncertain ones by one wedge each, behind which the body lies where it contains the triangle's corners as seen from a centre:
+  the one that leaves least.  The farthest triangles are divided until the bound is nearly that of all wedges together.
 """
 
 from __future__ import annotations

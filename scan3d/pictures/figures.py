@@ -124,7 +124,6 @@ def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | N
 
 
 def _size(text: str, dpi: int) -> tuple[float, float | None]:
-    """Width and height in inches."""
     match = _SIZE.fullmatch(str(text).strip().lower())
     if match is None:
         raise InputError(

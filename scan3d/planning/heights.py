@@ -310,7 +310,6 @@ def evened(gaps: Array) -> Array:
 
 
 def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:
-    """That of the cloud's stacks along an axis."""
     if axis is not None:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < 1e-6]

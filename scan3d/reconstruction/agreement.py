@@ -576,7 +576,6 @@ class _Means(NamedTuple):
 
 
 def _means(compared: Compared, cloud: Cloud) -> _Means:
-    """Those of a slice."""
     sweep, each = cloud.sweep[compared.rows], np.arange(len(compared.some))
     apart = cdist(compared.points[compared.lines], compared.points[compared.some])
     apart[sweep[compared.lines][:, None] == sweep[compared.some]] = np.inf

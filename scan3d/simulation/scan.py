@@ -167,7 +167,6 @@ def _check_sweeps(scan: AxisScan, samples: int) -> None:
 
 
 def _cosine_heights(scan: AxisScan) -> Array:
-    """All heights of cosine spacing."""
     return first_heights(*scan.extent, replace(scan.plan, spacing="cosine"))
 
 
