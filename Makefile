@@ -46,6 +46,7 @@ check: lint fast ## lint and fast: what to run before a commit
 trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
 	FUZZ=$(FUZZ) $(PYTEST) -m trust $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ)
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ) --model spatial
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group strong --slices 13
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group rig --slices 8

@@ -40,6 +40,11 @@ def test_exact_scans_are_as_stated(seeds):
     assert wrong(seeds, noise=(0.0,)) == []
 
 
+@pytest.mark.parametrize("seeds", parts(600, 601, 640))
+def test_noisy_scans_in_space_are_as_stated(seeds):
+    assert wrong(seeds, noise=(1e-3, 3e-3), model="spatial") == []
+
+
 def test_draws_repeat():
     one, other = bounds.drawn(7), bounds.drawn(7)
     assert str(one) == str(other)

@@ -124,9 +124,13 @@ class _Sight:
         self._places, self._turns, self._body = places, turns, body
         self._farthest = places.largest()[:, None], body.largest()
         outward = places.points - centre
+        error = self._farthest[0][:, 0] + self._farthest[1].mean() + turns * np.linalg.norm(outward, axis=1)
         self._outward = outward - dot(outward, tangents)[:, None] * tangents
-        self._outward = ratio(self._outward, np.linalg.norm(self._outward, axis=1)[:, None])
+        distance = np.linalg.norm(self._outward, axis=1)
+        self._outward = ratio(self._outward, distance[:, None])
         self._across = np.cross(tangents, self._outward)
+        # how far beyond a right angle the normal may be turned from the outward direction: the centre is a mean of points
+        self._doubt = np.where(error < distance, np.arcsin(np.minimum(ratio(error, distance), 1.0)), np.inf)[:, None]
 
     def _angles(self, numbers: Index) -> tuple[Array, Array]:
         """Angles (b, k) at which points of the body are seen, from the direction to the centre, and what errors make of them.
@@ -168,11 +172,12 @@ class _Sight:
 
     def lowest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)
-        return angle - error
+        # of a point that may be seen on the other side the normal may be there as well
+        return np.where(angle + error + self._doubt < np.pi, angle - error, -np.inf)
 
     def highest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)
-        return -angle - error
+        return np.where(error + self._doubt - angle < np.pi, -angle - error, -np.inf)
 
     def arcs(self, low: Array, high: Array) -> Arcs:
         """The arcs between angles (b,)."""
