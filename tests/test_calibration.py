@@ -385,6 +385,15 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
         scan3d.calibrate(late, rigs.DIAMETER, tare="sweep")
 
 
+@pytest.mark.slow
+def test_rows_that_come_and_go_do_not_spoil_a_fit():
+    """The least sum of squares of this noise has a kink, where a row is lost and found."""
+    recording = rigs.recorded(seed=103, samples=120)
+    found = scan3d.calibrate(recording, rigs.DIAMETER)
+    errors = found.values - rigs.truth_of(found, rigs.Truth(), recording, samples=120)
+    assert (np.abs(errors) < 4 * found.standard_deviations).all()
+
+
 @pytest.fixture(scope="module")
 def touches(tmp_path_factory):
     """A recording of touches, in files."""
