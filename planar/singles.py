@@ -30,6 +30,8 @@ from planar.several import Rods, free_rods
 
 JUMP = 0.03
 """Movement of the rod, in rod lengths, beyond three times that of the base, that is looked at as a jump."""
+# Distance between two places, in rod lengths, that are the same.
+_SAME = 1e-7
 
 
 class Start(NamedTuple):
@@ -171,7 +173,7 @@ class Singles:
         if not one.count[0]:
             return True
         places = [self.outlines.at(rods.piece[:, 0], rods.u[:, 0]).point[0] for rods in (one, other)]
-        return bool(np.hypot(*(places[0] - places[1])) < INSIDE and abs(one.s[0, 0] - other.s[0, 0]) < INSIDE)
+        return bool(np.hypot(*(places[0] - places[1])) < _SAME and abs(one.s[0, 0] - other.s[0, 0]) < _SAME)
 
     def _hold(self, start: Start, rods: Lines, piece: Index) -> int:
         """How many rods from the first on hold."""
@@ -205,7 +207,7 @@ class Singles:
     ) -> bool:
         """Whether corners lie between two rods apart from those of the path from the contacts of the one to the other's."""
         loop = np.concatenate([before, after[::-1]])
-        inside = (corners > loop.min(axis=0) - INSIDE).all(axis=1) & (corners < loop.max(axis=0) + INSIDE).all(axis=1)
+        inside = (corners > loop.min(axis=0) - _SAME).all(axis=1) & (corners < loop.max(axis=0) + _SAME).all(axis=1)
         offset = loop - corners[inside, None]
         following = np.roll(offset, -1, axis=1)
         cross = offset[..., 0] * following[..., 1] - offset[..., 1] * following[..., 0]
@@ -430,7 +432,7 @@ def runs(outlines: Outlines) -> Runs:
 
 # Points of a rod up to its contact; its polynomials of fifth order between them are exact to some 1e-11.
 POINTS = 33
-# Depth in the body, or distance, in rod lengths, that is more than the rounding of mesh files in single precision.
+# Depth in the body, in rod lengths, that is more than the rounding of mesh files in single precision.
 INSIDE = 1e-7
 
 

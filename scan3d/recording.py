@@ -343,14 +343,16 @@ def _grid_step(values: Array) -> float:
     distinct = np.unique(values)
     if len(distinct) < _FEWEST:
         return 0.0
-    first = int(np.diff(distinct).argmin())
-    distances = np.sort(np.abs(distinct - distinct[first]))[1:]
-    # the smallest gap, or the common divisor of two distances, may be a few steps
-    rounding = 1e-9 * float(np.abs(distinct).max())
-    first_ones = distances[:3].tolist()
-    divisors = [first_ones[0], *(_divisor(*pair, rounding) for pair in combinations(first_ones, 2))]
+    gaps, largest = np.diff(distinct), float(np.abs(distinct).max())
+    distances = np.sort(np.abs(distinct - distinct[gaps.argmin()]))[1:]
+    smallest = np.sort(gaps)[:3].tolist()
+    # the smallest gap, or the common divisor of two, may be a few steps; of numbers with few digits, or all
+    divisors = [smallest[0]]
+    divisors += [
+        _divisor(*pair, rounding * largest) for rounding in (1e-9, 1e-11, 1e-13) for pair in combinations(smallest, 2)
+    ]
     for candidate in (divisor / part for divisor in divisors for part in range(1, 13)):
-        if candidate <= rounding:
+        if candidate <= 1e-13 * largest:
             continue
         step = _refined(distances, candidate)
         multiples = distances / step

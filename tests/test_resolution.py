@@ -62,9 +62,10 @@ def test_full_precision_and_empty_columns_have_no_rounding(values):
     assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers
     assert rounding_sd(np.zeros(10)) == 0
     assert rounding_sd(np.array([0.5])) == 0
-    step = np.pi / 2**23  # none of the gaps between 100 numbers of 24 bits is a few steps wide
-    fine = np.round(np.random.default_rng(2).uniform(-3, 3, 100) / step) * step
-    assert rounding_sd(fine) == pytest.approx(step / 12**0.5)
+    for bits in (23, 27):  # none of the gaps between 100 such numbers is a few steps wide
+        step = np.pi / 2**bits
+        fine = np.round(np.random.default_rng(2).uniform(-3, 3, 100) / step) * step
+        assert rounding_sd(fine) == pytest.approx(step / 12**0.5)
 
 
 @pytest.mark.parametrize("digits", [9, 7])

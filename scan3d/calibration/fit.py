@@ -267,7 +267,7 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = 50) -> Fit:
     moved, rows, residual, slopes = at(found.x.tobytes())
     jacobian = np.vstack([rows.white_by_rig.reshape(-1, len(problem.free)), in_air, likely])
     jacobian[:, ~problem.free] = 0
-    # the step that is left, in standard deviations: where a row comes in or goes out the sum of squares has a kink, and may end
+    # the step left, in standard deviations: not 0 at a kink of the sum of squares, where a row comes in or goes out
     at_rest = bool(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual) < 0.5)
     return Fit(problem, moved, noise, rows, jacobian, 2 * float(found.cost), at_rest)
 
