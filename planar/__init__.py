@@ -35,11 +35,20 @@ from planar.hidden import (
     recover_at_tip,
     second_contacts,
 )
-from planar.landmarks import ElasticLines, EventKind, Events, elastic_lines, events
-from planar.march import free_reactions
-from planar.reconstruction import TOLERANCE, Contacts, Errors, NormalSource, Status, errors, jacobian, reconstruct
-from planar.rods import Rod
-from planar.sweeping import Phase, Sweep, sweep, sweep_all
+from planar.reconstruction import (
+    TOLERANCE,
+    Contacts,
+    ElasticLines,
+    Errors,
+    NormalSource,
+    Status,
+    elastic_lines,
+    errors,
+    jacobian,
+    reconstruct,
+)
+from planar.rods import Rod, free_reactions
+from planar.sweeping import EventKind, Events, Phase, Sweep, events, sweep, sweep_all
 
 __all__ = [
     "TOLERANCE",

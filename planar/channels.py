@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions
-from planar.march import solve
 from planar.reconstruction import jacobian
-from planar.rods import Rod
+from planar.rods import Rod, solve
 
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8

@@ -1,7 +1,7 @@
 """Step 2: from the support reactions back to the contact.
 
 Force and moment at the clamp fix the bent rod: ``f``, ``α`` and ``κ0`` from (9); the contact is where the curvature
-vanishes.  The methods that find it are those of `planar.march`.
+vanishes.  The methods that find it are those of `planar.rods`.
 
 Friction and normal come from (12)-(15): ``β = arcsin((m0z² - 2 f0y) / (2 f)) = arcsin(2k² - 1)`` equals the friction angle
 ``ζ`` in tangential contact (14); in tip contact only ``β < ζ`` follows.
@@ -25,10 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
 from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
-from planar.elastica import bend_with_slopes
-from planar.march import METHODS, solve
+from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, counted, to_frame, words
-from planar.rods import Rod
+from planar.rods import METHODS, Rod, solve
 from planar.sweeping import Phase
 
 if TYPE_CHECKING:
@@ -453,3 +452,48 @@ def _completed(spread: Array, missing: str, known: str, known_sd: float, tip: Ma
         completed: Array = spread - change[:, :, None] * rate[:, None, :]
         completed[:, :, column] = change * np.where(tip, 0.0, known_sd)[:, None]
     return completed
+
+
+class ElasticLines(NamedTuple):
+    """Shapes of n rods in rod lengths; NaN where a rod with such reactions does not exist."""
+
+    curved: Array
+    """(n, points, 2) from the clamp to the contact, evenly in arc length."""
+    straight: Array
+    """(n, 2, 2) ends of the straight part beyond the contact; they coincide in tip contact."""
+
+    def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
+        """The rods, those in tip contact in blue, the others in red up to the contact and in black beyond it.
+
+        `axes` are matplotlib's, by default new ones; `style` is that of `matplotlib.axes.Axes.plot`.  Returns the axes.
+        """
+        return plots.plot_lines(self.curved, self.straight, axes, style)
+
+
+def elastic_lines(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, points: int = 100) -> ElasticLines:
+    """Elastic lines of rods with the given base positions and support reactions (n,).
+
+    A rod without force is straight.  Reactions of sweeps in +x have ``m0z < 0``.  Raises ValueError for arrays of
+    different lengths or fewer than 2 points.
+    """
+    reactions = checked_reactions(x0, f0x, f0y, m0z)
+    if points < 2:
+        raise ValueError(f"an elastic line needs at least 2 points, got {points}")
+    parts = [slice(first, first + BLOCK) for first in range(0, max(len(reactions[0]), 1), BLOCK)]
+    drawn = (_drawn(points, *(column[part, None] for column in reactions)) for part in parts)
+    return ElasticLines(*(np.concatenate(columns) for columns in zip(*drawn, strict=True)))
+
+
+def _drawn(points: int, base: Array, fx: Array, fy: Array, moment: Array) -> tuple[Array, Array]:
+    side = np.where(moment < 0, -1.0, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        f = np.hypot(fx, fy)
+        root_f = np.sqrt(f)
+        alpha = np.arctan2(-side * fx, fy)
+        q = side * moment / (2 * root_f)
+        s1 = np.where(f > 0, np.minimum(bend(alpha, q).length / root_f, 1.0), 1.0)
+    shape = piece(-fx, -fy, np.full_like(f, np.pi / 2), -moment, np.linspace(0.0, 1.0, points) * s1)
+    curved = np.stack([base + shape.x, shape.y], axis=-1)
+    end = shape.phi[:, -1:]
+    tip = curved[:, -1] + (1 - s1) * np.concatenate([np.cos(end), np.sin(end)], axis=1)
+    return curved, np.stack([curved[:, -1], tip], axis=1)

@@ -2,7 +2,7 @@
 
 At a place of the contour with slope ``α̃`` the rod touches tangentially, ``φ1 = α̃`` with the unknown arc length ``s1``, or
 with its tip, ``s1 = 1`` with the unknown slope ``φ1``; the second unknown is the size of the force, whose direction is
-``α̃ + ζ``.  Marched back from the contact (`planar.march`), the rod must arrive at its clamp: ``y = 0``,
+``α̃ + ζ``.  Marched back from the contact (`planar.rods`), the rod must arrive at its clamp: ``y = 0``,
 ``φ = π/2 + c M``.  The state at a base position is the first place of the path whose base position has come down to it.
 """
 
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planar import march, segments
+from planar import segments
 from planar.arrays import Array, Index, Mask
 from planar.contours import Path
-from planar.rods import Rod
+from planar.rods import Rod, excess, grid, overhang, started, step
 from planar.segments import LEVELS
 
 # Steps along the rod for tables.
@@ -86,16 +86,16 @@ def _back(rod: Rod, course: Course, place: Array, tangential: Mask, force: Array
     alpha = slope + course.friction_angle
     at, phi = np.where(tangential, other, 1.0), np.where(tangential, slope, other)
     rod = rod.rows(course.contour)
-    hangs = march.overhang(rod)
+    hangs = overhang(rod)
     carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
-    state = march.started(rod, phi, np.zeros(len(phi)), np.stack([x, y]), carried)
-    state[2] = -march.excess(hangs, at, state)
+    state = started(rod, phi, np.zeros(len(phi)), np.stack([x, y]), carried)
+    state[2] = -excess(hangs, at, state)
     inflected = np.zeros(len(at), dtype=bool)
-    for lower in march.grid(rod.profile, steps)[::-1]:
+    for lower in grid(rod.profile, steps)[::-1]:
         below = np.minimum(at, lower)
         if (below < at).any():
-            state = march.step(rod, state, at, below - at)
-            inflected |= (below < at) & (force > 0) & (march.excess(hangs, below, state) >= 0)
+            state = step(rod, state, at, below - at)
+            inflected |= (below < at) & (force > 0) & (excess(hangs, below, state) >= 0)
         at = below
     cosine, sine, moment, x, y = state[:5]
     tilt = np.arctan2(-cosine, sine)  # of the rod at its clamp from the y axis

@@ -1,16 +1,55 @@
-"""Rods other than the straight, uniform, weightless one of the paper.
+"""Any rod in a plane, marched from its clamp along its arc length: tapered, curved, heavy, in a clamp that gives.
 
 Units (1) with the bending stiffness at the clamp: lengths in rod lengths ``L``, forces in ``EI(0)/L²``.
+The part past ``s`` acts on the part before it by the force ``N`` and the moment ``M``:
+
+    ``N = F + (weight past s) g``  before the contact,  ``φ' = M/B + κ̂``,  ``M' = N_x sin φ - N_y cos φ``
+
+with ``φ(0) = π/2 + c M(0)``, ``M(0) = -m0z`` and ``N(0) = -f0``, so that the contact force ``F = -f0 - W g`` is known at
+once.  A contact does not carry a moment: it is the first place at which ``e = M - M_o`` vanishes, where ``M_o(s, φ)`` is the
+moment at the root of the part past ``s`` that hangs free with the slope ``φ`` there.  There ``e' = f cos β``, whatever the rod.
+The moment keeps its sign up to the contact: rods with an
+inflection before it are not looked for.  Friction does not enter: reconstruction is friction invariant for any rod.
+
+All rods take the same fixed steps of the explicit Runge-Kutta method of order 8 of Dormand and Prince (E. Hairer, S. P.
+Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993), shorter where the rod is thinner; no step crosses a
+knot of the rod's table.  The tangent ``cos φ, sin φ`` is marched in the place of its angle.
+
+The methods of step 2 lead from the reactions of a rod to the place of its contact.
+
+``closed-form``
+    The elastica in closed form (`planar.elastica`) with ``q = m0z / (2 √f)``.  Friction changes the direction of the force,
+    which is measured: the contact does not depend on friction otherwise.  Rods that are arcs of circles have a closed form as
+    well; all others are marched.
+``scholz-rahn``
+    Numerical integration of (3) up to the contact (G. R. Scholz, C. D. Rahn, "Profile sensing with an actuated whisker",
+    2004), in the steps of the march.  Friction invariant as well; the reference of the closed forms.
+``will``
+    Equation (10) (C. Will, "Continuum models for biologically inspired tactile sensors", 2018), clipped to 1.  It assumes a
+    rod tangential to the force at its contact, which holds for ``μ = 0`` only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index
+from planar.arrays import Array, Index, Mask
+from planar.elastica import bend, bend_by_half_angle, integrals, partial_shape, tangential_q
+
+# Rows that are marched at once: their stages stay in the processor's cache.
+_BLOCK = 1024
+# Steps along the rod to start with.
+STEPS = 8
+# Slopes of the tip, and arc lengths, at which the moment of the overhang is tabulated.
+_TIP_SLOPES, _LENGTHS = 96, 33
 
 
 @dataclass(frozen=True)
@@ -161,3 +200,386 @@ class Rod:
         """The mirror image, x → -x."""
         gravity = None if self.gravity is None else np.asarray(self.gravity, dtype=float) * [-1.0, 1.0]
         return replace(self, curvature=-self.curvature, gravity=gravity)
+
+
+class Marched(NamedTuple):
+    """Contacts (n,) of marched rods in rod lengths, relative to the clamp; NaN where there is none."""
+
+    s1: Array
+    x: Array
+    y: Array
+    slope: Array
+    """(n,) slope angle φ1 of the rod at the contact, in radians."""
+    start: Array
+    """(n,) excess of the moment at the clamp over that of the free rod: negative for rods bent by a sweep in -x."""
+
+
+def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
+    """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
+
+    def places(rows: Index, steps: int) -> Array:
+        found = _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
+        return np.stack([found.s1, found.x, found.y])
+
+    steps = enough_steps(places, np.hypot(*force) + np.abs(moment))
+    blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
+    parts = [_contacts(rod.rows(rows), force[:, rows], moment[rows], steps) for rows in blocks]
+    return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def free_reactions(rod: Rod) -> tuple[float, float, float]:
+    """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away."""
+    moment, nothing, rod = 0.0, np.zeros((2, 1)), rod.steady()
+    for _ in range(100):  # a clamp that gives: a contraction for clamps that hold
+        state = started(rod, np.array([np.pi / 2 + rod.compliance * moment]), np.zeros(1), nothing, nothing)
+        before, moment = moment, -float(excess(overhang(rod), 0.0, state)[0])
+        if abs(moment - before) <= 1e-15:
+            break
+    return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
+
+
+def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
+    """The number of steps: more and more until two runs agree on some rows, those of the largest `size` (n,) among them.
+
+    `march` gives places of rows by a number of steps.
+    """
+    order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
+    # some rows of all sizes tell how many steps are enough
+    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), 32).astype(np.intp))] if len(order) else order
+    steps, last = STEPS, march(rows, STEPS)
+    while steps < 256:
+        more = round(1.5 * steps)
+        finer = march(rows, more)
+        if not ((np.abs(finer - last) > 1e-10) | (np.isnan(finer) != np.isnan(last))).any():
+            break
+        steps, last = more, finer
+    return steps
+
+
+@lru_cache(maxsize=64)
+def grid(profile: Profile, steps: int) -> Array:
+    """Ends of the steps along a rod, its knots among them: between two knots steps are as long as the rod is thick."""
+    pieces = []
+    for (start, first), (end, last) in pairwise(zip(profile.knots, profile.diameters, strict=True)):
+        count = max(round(np.ceil(steps * (end - start))), 1)
+        part = np.arange(count) / count
+        taper = last / first - 1
+        pieces.append(start + (end - start) * (np.expm1(np.log1p(taper) * part) / taper if taper else part))
+    return np.append(np.concatenate(pieces), 1.0)
+
+
+def crossings(
+    ends: Array, state: Array, step: Callable[[Array, float, float], Array], value: Callable[[float, Array], Array]
+) -> tuple[Index, Array, Array]:
+    """Where a value (n,) of marched states (k, n) first falls through zero: the rows (m,), their states (k, m) before the
+    step in which it does, and its begin, its length, and the values at both ends of it (4, m).
+
+    Rows whose value ends to be a number are given up.
+    """
+    rows, low, falling = np.arange(state.shape[1]), value(ends[0], state), []
+    for at, end in pairwise(ends.tolist()):
+        after = step(state, at, end - at)
+        high = value(end, after)
+        here = (low > 0) & (high <= 0)
+        if here.any():
+            span = np.broadcast_to([[at], [end - at]], (2, int(here.sum())))
+            falling.append((rows[here], state[:, here], np.concatenate([span, [low[here], high[here]]])))
+        rest = ~here & np.isfinite(high)
+        if not rest.all():
+            rows, after, high = rows[rest], after[:, rest], high[rest]
+        state, low = after, high
+        if not len(rows):
+            break
+    if not falling:
+        return rows[:0], state[:, :0], np.empty((4, 0))
+    return tuple(np.concatenate(columns, axis=-1) for columns in zip(*falling, strict=True))  # type: ignore[return-value]
+
+
+def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
+    """`contacts` by a given number of steps; force (2, n)."""
+    hangs = overhang(rod)
+    # past the tip the rod goes on for half its length, with the stiffness there and without weight
+    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, 1.5, steps + 1)[1:])
+    with np.errstate(all="ignore"):
+        state = started(rod, np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
+        unknown = np.full((4, len(moment)), np.nan)
+        found = Marched(unknown[0], unknown[1], unknown[2], unknown[3], excess(hangs, 0.0, state))
+        rows, before, span = crossings(
+            ends,
+            state,
+            partial(step, rod),
+            lambda s, state: -excess(hangs, s, state),
+        )
+        _refine(rod, found, rows, before, *span)
+    return found
+
+
+def started(rod: Rod, slope: Array, moment: Array, place: Array, force: Array) -> Array:
+    """States of rods by slopes (n,), moments (n,), places (2, n) and contact forces (2, n): these seven rows, and two of the
+    rod's weight as a force if it has one."""
+    state = np.stack([np.cos(slope), np.sin(slope), moment, *place, *force])
+    return np.concatenate([state, np.broadcast_to(rod.pull, force.shape)]) if rod.weight else state
+
+
+def excess(hangs: Overhang, s: ArrayLike, state: Array) -> Array:
+    """(n,) moments ``e`` of states over those of the parts of the rod that hang free."""
+    turn = state[0] + 1j * state[1]
+    if len(state) > 7:  # seen from where gravity points down
+        turn = turn * (-state[8] - 1j * state[7]) / np.hypot(state[7], state[8])
+    return np.asarray(state[2] - hangs(s, turn))
+
+
+def _refine(
+    rod: Rod, found: Marched, rows: Index, before: Array, start: Array, length: Array, low: Array, high: Array
+) -> None:
+    """Fill in the rows (m,) whose excess rises through zero, from -`low` to -`high`, in steps from the states `before`."""
+    hangs = overhang(rod)
+    # e' = -(t × F), but for the overhang's part, which vanishes with e; the parabola with this rate through both ends
+    rate = _across(before)
+    bend = (low - high - rate * length) / length**2
+    part = 2 * low / (rate + np.sqrt(np.maximum(rate * rate + 4 * bend * low, 0.0)))
+    part = np.clip(part, 0.0, length)
+    for _ in range(2):
+        state = step(rod, before, start, part)
+        change = -excess(hangs, start + part, state) / _across(state)
+        part = part + change
+    cosine, sine, moment, x, y = state[:5]
+    # steps that turn the rod by more than they can follow spoil the length of its tangent
+    lost = np.abs(cosine * cosine + sine * sine - 1) > 1e-3
+    part[lost] = change[lost] = np.nan
+    curvature = moment / rod.profile.bending_stiffness(start + part) + rod.curvature
+    phi, turn = np.arctan2(sine, cosine), curvature * change
+    found.s1[rows], found.slope[rows] = start + part, phi + turn
+    found.x[rows], found.y[rows] = x + np.cos(phi + turn / 2) * change, y + np.sin(phi + turn / 2) * change
+
+
+def _across(state: Array) -> Array:
+    """``F_x sin φ - F_y cos φ``: the force across the rod."""
+    return np.asarray(state[5] * state[1] - state[6] * state[0])
+
+
+@lru_cache
+def tableau() -> tuple[Array, Array, Array]:
+    """Coefficients (12, 12), weights (12,) and nodes (12,) of the stages of a step."""
+    from scipy.integrate import DOP853  # imported late, so that `import planar` stays quick
+
+    return DOP853.A[:12, :12], DOP853.B, DOP853.C[:12]
+
+
+def step(rod: Rod, state: Array, s: Array | float, length: Array | float) -> Array:
+    """States (`started`), ``cos φ, sin φ, M, x, y``, contact force and weight, of rods one step past arc length `s`.
+
+    `s` and `length` are numbers or (n,).
+    """
+    stages, weights, nodes = tableau()
+    stiffness, past = rod.profile.along(s, length, nodes)
+    rates = np.empty((5, len(nodes), state.shape[1]))
+    now, (fx, fy) = state[:3], state[5:7]
+    for i in range(len(nodes)):
+        if i:
+            now = state[:3] + length * (stages[i, :i] @ rates[:3, :i])
+        cosine, sine, moment = now
+        if rod.weight > 0:
+            part = past[i] / rod.weight
+            fx, fy = state[5] + part * state[7], state[6] + part * state[8]
+        bend = moment / stiffness[i] + rod.curvature
+        np.multiply(-bend, sine, out=rates[0, i])
+        np.multiply(bend, cosine, out=rates[1, i])
+        np.subtract(fx * sine, fy * cosine, out=rates[2, i])
+        rates[3, i], rates[4, i] = cosine, sine
+    return np.concatenate([state[:5] + length * (weights @ rates), state[5:]])
+
+
+Overhang = Callable[[ArrayLike, Array], Array]
+"""Moments (n,) at the roots of parts of a rod that hang free past arc lengths s, one or (n,), with tangents ``exp(iφ)`` (n,)
+there, φ from an axis across gravity, which points along ``-i``."""
+
+
+def overhang(rod: Rod) -> Overhang:
+    """The moment ``M_o(s, φ)`` of a rod.  Raises ValueError where it is so heavy that it hangs, or stands, in more than one
+    shape."""
+    return _overhang(replace(rod, gravity=(0.0, -1.0) if rod.weight else None, compliance=0.0))
+
+
+@lru_cache(maxsize=8)
+def _overhang(rod: Rod) -> Overhang:
+    """The moment ``M_o(s, φ)``, a Fourier series in φ along the rod."""
+    if rod.weight == 0:
+        return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
+    turns = np.arange(_TIP_SLOPES) * (2 * np.pi / _TIP_SLOPES)
+    orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
+
+    def fourier(state: Array) -> Array:
+        phi = np.unwrap(np.arctan2(state[1], state[0]))
+        if not (np.diff(phi, append=phi[0] + 2 * np.pi) > 0).all():
+            raise ValueError(
+                f"a rod of weight {rod.weight:g} EI/L² takes more than one shape under its weight; is it so heavy?"
+            )
+        found = np.linalg.lstsq(np.exp(1j * np.outer(phi, orders)), state[2] + 0j, rcond=None)[0][orders >= 0, None]
+        found[1:] *= 2  # the moment is real: the series of positive orders is enough
+        return np.asarray(found)
+
+    state = started(rod, np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
+    series = along(rod.profile, partial(step, rod), state, fourier)
+
+    def moment(s: ArrayLike, turn: Array) -> Array:
+        return np.asarray(polynomial.polyval(turn, series(s).T[0], tensor=False).real)
+
+    return moment
+
+
+def along(
+    profile: Profile, step: Callable[[Array, float, float], Array], tips: Array, fitted: Callable[[Array], Array]
+) -> Callable[[ArrayLike], Array]:
+    """Numbers (c, k) of the parts of a rod that hang free past arc lengths s, one or (n,): (c, k) or (n, c, k).
+
+    They are polynomials in s between two knots, through what is `fitted` to states that are marched back from those of tips.
+    """
+    knots, tables = np.array(profile.knots), []
+    for start, end in zip(knots[-2::-1], knots[:0:-1], strict=True):
+        nodes = chebyshev.chebpts1(int(np.ceil(_LENGTHS * np.sqrt(end - start))))[::-1]
+        at, rows = end, []
+        for place in np.append((start + end) / 2 + (end - start) / 2 * nodes, start):
+            tips = step(tips, at, place - at)
+            at = place
+            rows.append(fitted(tips))
+        values = np.array(rows[:-1])
+        found = np.linalg.solve(chebyshev.chebvander(nodes, len(nodes) - 1), values.reshape(len(nodes), -1))
+        tables.append(np.concatenate([found, np.zeros((_LENGTHS - len(nodes), found.shape[1]))]))
+    series = np.array(tables[::-1]).reshape(len(tables), _LENGTHS, *values.shape[1:])
+    # what is rounding, which many tips sum up, is left out
+    size = np.abs(series).max(axis=(0, 3))
+    kept = size > tips.shape[1] * np.finfo(float).eps * size.max()
+    lengths, count = (int(np.flatnonzero(kept.any(axis=axis))[-1]) + 1 for axis in (1, 0))
+    series = series[:, :lengths, :count]
+
+    def numbers(s: ArrayLike) -> Array:
+        piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(series) - 1)
+        start, end = knots[piece], knots[piece + 1]
+        part = np.clip((2 * np.asarray(s) - start - end) / (end - start), -1.0, 1.0)
+        powers = chebyshev.chebvander(part, lengths - 1)
+        if np.ndim(s) == 0:
+            return np.asarray(np.tensordot(powers[0], series[piece], 1))
+        found = np.empty((len(powers), *series.shape[2:]), dtype=series.dtype)
+        for k in np.unique(piece):
+            found[piece == k] = np.tensordot(powers[piece == k], series[k], 1)
+        return found
+
+    return numbers
+
+
+METHODS = ("closed-form", "scholz-rahn", "will")
+
+
+class Solved(NamedTuple):
+    """Contacts (n,) on rods that a sweep in -x bends; lengths in rod lengths, angles in radians."""
+
+    force: Array
+    """Size f of the contact force on the rod."""
+    alpha: Array
+    """Its direction (9)."""
+    s1: Array
+    x: Array
+    """Relative to the clamp."""
+    y: Array
+    beta: Array
+    """β (12), the angle between the rod's normal at the contact and the force."""
+    wrong_side: Mask
+    """Where the moment is that of a rod bent against the sweep."""
+    no_rod: Mask
+    """Where no rod has these reactions."""
+    undefined: Mask
+    """Where the method does not have a solution."""
+
+
+def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is."""
+    if method == "scholz-rahn" or not rod.is_uniform:
+        return _marched(rod, f0x, f0y, m0z)
+    if rod.curvature:
+        return _arc(rod, f0x, f0y, m0z)
+    force, s, c = _polar(f0x, f0y)
+    root_f = np.sqrt(force)
+    q = m0z / (2 * root_f)
+    square = q * q
+    m, complement = s * s + square, c * c - square
+    beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
+    exists = (complement >= 0) & (q > 0)
+    alpha = 2 * np.arctan2(s, c)
+    q = q if exists.all() else np.where(exists, q, np.nan)
+    undefined = np.zeros(len(q), dtype=bool)
+    if method == "will":
+        s1, x, y, undefined = _will(alpha, q, root_f)
+    else:
+        shape, _, _ = bend_by_half_angle(s, c, q)
+        s1, x, y = shape.length / root_f, shape.x / root_f, shape.y / root_f
+    return Solved(force, alpha, s1, x, y, beta, m0z <= 0, complement < 0, undefined)
+
+
+def _will(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, Mask]:
+    # ERRATUM: (10) as printed has α̃ in its integrand; it stands for α.  The integral is that of a frictionless rod.
+    undefined = np.abs(alpha) > np.pi / 2
+    frictionless = bend(alpha, np.where(undefined, np.nan, tangential_q(alpha, np.zeros(len(alpha)))))
+    s1 = np.minimum(frictionless.length / root_f, 1.0)
+    # the point at s1 of the rod that the reactions bend
+    shape = bend(alpha, q)
+    x, y = partial_shape(alpha, q, shape.length - s1 * root_f)
+    return s1, (shape.x - x) / root_f, (shape.y - y) / root_f, undefined
+
+
+def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    """Arcs of circles: (3) holds for the whole curvature, which is ``κ̂ - m0z`` at the clamp and ``κ̂`` at the contact.
+
+    With the amplitude u of Legendre's form, ``κ = -2k √f cos u``.  Rods with ``k >= 1``, strongly curved ones under small
+    forces, have none and are marched.
+    """
+    force, s, c = _polar(f0x, f0y)
+    root_f, alpha = np.sqrt(force), 2 * np.arctan2(s, c)
+    q = (m0z - rod.curvature) / (2 * root_f)
+    m = s * s + q * q
+    k = np.sqrt(m)
+    cosine = -rod.curvature / (2 * k * root_f)
+    start, end = np.arctan2(s, q), np.arccos(cosine)
+    (first, second), (begun, passed) = integrals(end, m), integrals(start, m)
+    length = first - begun
+    along = 2 * (second - passed) - length
+    across = 2 * k * (np.cos(start) - cosine)
+    x, y = across * np.cos(alpha) - along * np.sin(alpha), across * np.sin(alpha) + along * np.cos(alpha)
+    beta = 2 * np.arcsin(k * np.sin(end)) - np.pi / 2
+    nowhere = np.zeros(len(q), dtype=bool)
+    wrong_side = m0z <= 0
+    no_rod = (np.abs(cosine) > 1) & (m < 1)
+    solved = Solved(force, alpha, length / root_f, x / root_f, y / root_f, beta, wrong_side, no_rod, nowhere)
+    rows = np.flatnonzero(m >= 1)
+    if len(rows):
+        for column, values in zip(solved, _marched(rod, f0x[rows], f0y[rows], m0z[rows]), strict=True):
+            column[rows] = values
+    return solved
+
+
+def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    carried = np.stack([f0x, f0y]) + rod.pull
+    force, s, c = _polar(*carried)
+    found = contacts(rod, -carried, -m0z)
+    alpha = 2 * np.arctan2(s, c)
+    beta = np.remainder(alpha - found.slope + np.pi, 2 * np.pi) - np.pi
+    undefined = np.zeros(len(alpha), dtype=bool)
+    return Solved(force, alpha, found.s1, found.x, found.y, beta, found.start >= 0, np.isnan(found.s1), undefined)
+
+
+def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:
+    """Size f of the contact force, sine and cosine of ``α/2``, from ``sin α = -f0x/f`` and ``cos α = f0y/f`` (9).
+
+    By algebra, in a tenth of the time of hypot, sin and cos; ``cos α/2 >= 0``.
+    """
+    across, along = np.abs(fx), np.abs(fy)
+    largest = np.maximum(across, along)
+    across, along = across / largest, along / largest  # no overflow, no underflow
+    size = np.sqrt(across * across + along * along)
+    larger = np.sqrt((size + along) / (2 * size))
+    smaller = across / (2 * size * larger)
+    forward = fy >= 0
+    s, c = smaller, larger
+    if not forward.all():
+        s, c = np.where(forward, smaller, larger), np.where(forward, larger, smaller)
+    return largest * size, np.copysign(s, -fx), c

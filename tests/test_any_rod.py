@@ -77,7 +77,7 @@ def test_reference_values(rod, reactions, expected, method):
 @pytest.mark.parametrize(("rod", "reactions", "expected"), PULLED)
 def test_reference_values_of_heavy_rods(rod, reactions, expected):
     force = -np.array([[reactions[0]], [reactions[1]]]) - rod.weight * rod.down[:, None]
-    found = planar.march.contacts(rod, force, np.array([-reactions[2]]))
+    found = planar.rods.contacts(rod, force, np.array([-reactions[2]]))
     np.testing.assert_allclose(np.concatenate(found[:4]), expected, atol=1e-10)
     # such rods would have to be pulled along the contour
     assert planar.reconstruct(0.0, *reactions, rod=rod).status[0] == Status.INFLECTION

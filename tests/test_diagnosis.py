@@ -14,7 +14,7 @@ from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed, drift, offset, sensor
 
 import planar
-import planar.march
+import planar.rods
 import scan3d
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
@@ -86,7 +86,7 @@ def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6, upright=90.
         distance, down = 0.62 + np.hypot(*(sizes * axes[1, :2])) / 2, -axes[:2, 1]
         bent = planar.Rod(weight=weight, gravity=down)
         swept = planar.sweep(planar.Ellipse(sizes, (0.0, distance), -turn), friction=0.3, samples=30, rod=bent)
-        touching, air = np.isfinite(swept.m0z), np.array(planar.march.free_reactions(bent))
+        touching, air = np.isfinite(swept.m0z), np.array(planar.rods.free_reactions(bent))
         reactions = np.stack([swept.f0x, swept.f0y, swept.m0z], axis=1)[touching]
         reactions = np.vstack([air, air, reactions]) - air * tared
         base = np.concatenate([swept.x0[touching][0] + [0.1, 0.05], swept.x0[touching]])  # each sweep begins in the air

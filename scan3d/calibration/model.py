@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import planar
-from planar.march import STEPS
+from planar.rods import STEPS
 from scan3d.arrays import Array, Index, Mask
 from scan3d.calibration.references import Reference
 from scan3d.rigs import to_outer, wrench_matrix

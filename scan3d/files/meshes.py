@@ -16,12 +16,12 @@ from scipy.spatial import ConvexHull
 from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
+from scan3d.comparison import deepest_dent
 from scan3d.errors import InputError
 from scan3d.files.shapes import read_glb
 from scan3d.files.text import check_readable
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.hausdorff import deepest_dent
 from scan3d.units import UNITS_M, check_unit, share
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import planar
-from planar.march import STEPS
+from planar.rods import STEPS
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.errors import (

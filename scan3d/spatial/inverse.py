@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
-from planar.march import solve
 from planar.plots import Explained
 from planar.reconstruction import DIFFERENCE
+from planar.rods import solve
 from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from planar.march import STEPS, along, crossings, enough_steps, grid, tableau
-from planar.rods import Profile
+from planar.rods import STEPS, Profile, along, crossings, enough_steps, grid, tableau
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
