@@ -243,7 +243,7 @@ def planar_recorded(seed=0, *, noise=0.0, sweeps=16, samples=60, tip=True):
 
 
 @cache
-def planar_model_log(samples=100, slices=6):
+def planar_model_log(samples=40, slices=5):
     """The exact log of the planar model past a sphere, slices from four sides, of a rod that is thinner than stated."""
     ball = standing(trimesh.creation.icosphere(subdivisions=5, radius=1000 * DIAMETER / 2))
     rod = scan3d.Rod(0.06, 8.35e-5, 0.0003)

@@ -291,7 +291,7 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
         raster = dict(facets=3)
         recording = rigs.recorded(**raster)
     elif case == "planar":
-        recording, sentence = rigs.planar_model_recorded(), "forces lie in one plane, of a planar model"
+        recording, sentence = rigs.planar_model_recorded(), "forces lie in one plane, as those of a planar model"
     else:
         recording, touched = rigs.recorded(sweeps=15, samples=40), 0.031
         sentence = "The likeliest cause is the diameter: one of"

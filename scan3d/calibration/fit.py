@@ -397,7 +397,8 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     alike = [max(run for run, _ in runs[group]) for group in groups]
     deviates = [max(excess[group]) > 0 or any(certain for _, certain in runs[group]) for group in groups]
     # with a variance of 1.3 the model does not fit
-    spoiled = any(deviates) and (rough or max(excess) > 0.3 or _in_plane(fit))
+    planar_model = _in_plane(fit)
+    spoiled = planar_model or (any(deviates) and (rough or max(excess) > 0.3))
     inverse = np.linalg.pinv(fit.jacobian)
     covariance = inverse @ inverse.T
     for deviating, square, run, sentence in zip(deviates, squares, alike, (_WRENCHES, _CONTACTS), strict=True):
@@ -406,6 +407,8 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
             by = f"{square**0.5:.2f} times what noise explains" + f", alike over {run:.0f} rows" * (run >= 1.5)
             effect = _SPOILS if spoiled else _ENLARGES
             sentences.append(sentence.format(kind=kind, off=by, effect=effect, cause=cause))
+    if planar_model:
+        sentences.append(_PLANAR.format(kind=kind, effect=_SPOILS))
     scatter = [float((white[used, k] ** 2).mean()) * runs[k][0] for k, used in enumerate(rows.used.T) if used.any()]
     enlarged = max(1.0, total if spoiled else max(scatter))
     both = rows.used[:, :2].all(axis=1)
@@ -458,11 +461,6 @@ def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:
         if information > 0 and slope**2 / information > 0.1 * float((white**2).sum()):
             diameter = 2 * rod.length_m * (reference.radius - slope / information) - rod.diameter_m
             return f"The likeliest cause is the diameter: one of {length(diameter, 'm', digits=4)} would fit better."
-    if _in_plane(fit):
-        return (
-            "The likeliest cause is a log whose forces lie in one plane, of a planar model or of a sensor with three "
-            f"channels; a rod that slides sideways over a {reference.kind} has none such."
-        )
     return (
         f"The likeliest causes are {reference.unlike}, a rod that is not as stated, a second contact, one that "
         "sticks, poses that deviate from the clamp's path or by more than stated, and noise of the sensor that is "
@@ -477,11 +475,17 @@ def in_air(fit: Fit) -> float:
 
 
 def _in_plane(fit: Fit) -> bool:
-    """Whether all of the six-axis forces lie in one plane of the sensor, as in a planar model."""
-    touches = fit.problem.touches
-    force = (touches.wrench - touches.basis @ fit.rig.tare.T)[:, :3]
-    scatter = float(np.linalg.svd(force, compute_uv=False)[-1]) / np.sqrt(len(force))
-    return bool(fit.problem.channels.all()) and scatter < 1.5 * fit.noise.force
+    """Whether all of the six-axis forces lie in one plane of the sensor, as in a planar model, and the normals do not."""
+    rig, touches = fit.rig, fit.problem.touches
+    force = (touches.wrench - touches.basis @ rig.tare.T)[:, :3]
+    out = np.linalg.svd(force, full_matrices=False)[2][-1]
+    frame = touches.frame @ rig.clamp_axes()[0]
+    point = touches.position + touches.frame @ rig.clamp + np.einsum("nij,nj->ni", frame, contacts(rig, touches)[0])
+    normal = rig.reference.met(point, point).normal
+    # without friction, which acts in the plane as long as the rod stays there
+    expected = np.linalg.norm(force, axis=1) * np.einsum("ni,nij,j->n", normal, frame @ rig.turn, out)
+    felt, due = (math.sqrt(np.nanmean(part**2)) for part in (force @ out, expected))
+    return bool(fit.problem.channels.all()) and felt < 1.5 * fit.noise.force and due > CHANCE * fit.noise.force
 
 
 _WRENCHES = (
@@ -490,6 +494,10 @@ _WRENCHES = (
     "contact, a sensor whose channels mix, and a tare that changes within a sweep."
 )
 _CONTACTS = "The contacts deviate from the {kind}, or the rod from its tangent, by {off}: {effect}. {cause}"
+_PLANAR = (
+    "All forces lie in one plane, as those of a planar model or of a sensor with three channels, though the {kind} presses the "
+    "rod out of it: {effect}."
+)
 _ENLARGES = "the uncertainties are enlarged by them"
 _SPOILS = (
     "the model does not fit these touches, no quantity of the rig is called well determined, and the uncertainties "
