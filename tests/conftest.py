@@ -125,6 +125,14 @@ def folder(tmp_path_factory):
     return scanned_folder(tmp_path_factory.mktemp("egg"))
 
 
+@pytest.fixture(scope="session")
+def rig_folder(tmp_path_factory):
+    """A folder of poses and of what a rig logs of an egg."""
+    from small_scans import rig_logs
+
+    return rig_logs(tmp_path_factory.mktemp("rig"))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def few_samples(request):
     """Fewer points for the averages of comparisons, which take most of the time of a small scan.

@@ -5,6 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from scan3d.files.text import rod_section
+from tests.rig_errors import six_axis
+
 RATE_HZ = 1000.0
 
 
@@ -35,11 +38,7 @@ class Track(NamedTuple):
 
 def track(recording, air=40, lift_m=0.004):
     """The sweeps of a recording at 1 kHz, each with approach and retract along the rod, and transfers between them."""
-    force, moment = np.zeros((2, len(recording), 3))
-    force[:, :2], moment[:, 2] = recording.force_N, recording.moment_Nm
-    if recording.six_axis:
-        force, moment = recording.wrench()
-    wrench = np.concatenate([force, moment], axis=1)
+    wrench = np.hstack(six_axis(recording).wrench())
     axes = recording.axes()
     parts, last = [], None
     for number in dict.fromkeys(recording.sweep.tolist()):
@@ -113,6 +112,29 @@ def write(path, columns, delimiter=",", decimal="."):
     return path
 
 
+POSED = "sweep,x,y,z,qw,qx,qy,qz"
+"""Columns of a table as `si_map` has them, but for the reactions."""
+
+
+def write_numbers(path, header, *columns):
+    """Write columns (n,) or (n, k) as text, without losing a digit."""
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.17g")
+    return path
+
+
+def si_map(rod, force=("fx", "fy", "fz"), moment=("mx", "my", "mz"), /, **sections):
+    """The map of a tared table in SI units with the poses of the clamp; `sections` replace or add sections."""
+    _, *position, w, x, y, z = POSED.split(",")
+    columns = {"sweep": "sweep", "position": position, "orientation": {"quaternion": [w, x, y, z]}}
+    data = {
+        "columns": columns | {"force": list(force), "moment": list(moment)},
+        "units": {"length": "m", "force": "N", "moment": "N m"},
+        "tare": {"air": "none"},
+        "rod": rod_section(rod),
+    }
+    return data | sections
+
+
 def map_of(rod, rig, euler="xyz", **sections):
     """The map of such a table, as the contents of its TOML file; `sections` replace or add sections."""
     data = {
@@ -125,10 +147,6 @@ def map_of(rod, rig, euler="xyz", **sections):
         },
         "units": {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"},
         "sensor": {"position_mm": list(rig.position_mm), "euler_deg": list(rig.turn_deg), "shows": rig.shows},
-        "rod": {
-            "length_m": rod.length_m,
-            "bending_stiffness_Nm2": rod.bending_stiffness_Nm2,
-            "diameter_m": rod.diameter_m,
-        },
+        "rod": rod_section(rod),
     }
     return data | sections

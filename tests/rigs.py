@@ -125,6 +125,12 @@ def with_wrench(recording, force, moment):
     return replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2], **(six if recording.six_axis else {}))
 
 
+def in_world(recording, turn, shift=(0.0, 0.0, 0.0)):
+    """The recording in a world in which everything is turned, and moved by a shift in metres."""
+    quaternion = (turn * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True)
+    return replace(recording, position_m=turn.apply(recording.position_m) + shift, quaternion=quaternion)
+
+
 def in_sensor(truth, force, moment):
     """Reactions (n, 3) at the clamp as the sensor shows them in its frame, whose axes are columns in the clamp's frame."""
     turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True).as_matrix()

@@ -4,6 +4,7 @@ import functools
 from unittest import mock
 
 import numpy as np
+from rigs import FAULTS
 from sample_bodies import MESHES
 from spatial_scans import recorded
 
@@ -17,6 +18,10 @@ from scan3d.surfaces import certificate, enclosure, surface
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
 FEW = ("--slices", "4", "--sweeps", "4", "--samples", "8", "--quiet")
 """Options of a scan that takes a moment."""
+SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
+"""Those of `FEW`, as keywords."""
+RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
+"""The files of a scan without pictures."""
 
 
 @functools.cache
@@ -53,6 +58,18 @@ def scanned_in_space(**raster):
     hull = surface(cloud, "hull")
     bound = certificate(enclosure(cloud), hull).at_vertices.astype(np.float32)
     return of_cloud(cloud, name="ellipsoid", surface=hull, bound=bound, recording=recording)
+
+
+def rig_logs(place):
+    """`place` with planned poses, a file of faults, and an egg's exact log and one with faults, as the commands make them."""
+    poses, faults = str(place / "poses.csv"), str(place / "faults.toml")
+    (place / "faults.toml").write_text(FAULTS)
+    plan = ["plan", "--around", "cylinder:60x60", "--slices", "4", "--samples", "40", "--quiet", "--out", poses]
+    run = ["simulate", str(EGG), "--poses", poses, "--quiet"]
+    exact = [*run, "--out", str(place / "log.csv"), "--placed", str(place / "placed.ply")]
+    for command in (plan, exact, [*run, "--out", str(place / "raw.csv"), "--faults", faults]):
+        assert main(command) == 0
+    return place
 
 
 def undrawn():

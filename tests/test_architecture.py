@@ -1,44 +1,16 @@
-"""Who imports whom: by import-linter, by reading the source, and in child processes."""
+"""What an import loads, in child processes, and what planar needs; who imports whom is checked by import-linter."""
 
-import ast
 import functools
 import subprocess
 import sys
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MODULES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
-    for package in ("planar", "scan3d")
-    for path in (ROOT / package).rglob("*.py")
-}
 HEAVY = {"numpy", "scipy", "trimesh", "pyvista", "vtkmodules", "open3d", "matplotlib"}
 STANDARD = sys.stdlib_module_names
-
-
-@functools.cache
-def imported(name):
-    """Modules of ours, and other names, that a module imports anywhere in it, functions included; not what only types need."""
-    names = set()
-
-    def visit(node):
-        if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
-            for child in node.orelse:
-                visit(child)
-            return
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name} imports relatively"
-            # `from package import module` and `from module import name` look alike
-            names.update([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
-        for child in ast.iter_child_nodes(node):
-            visit(child)
-
-    visit(ast.parse(MODULES[name].read_text(encoding="utf-8")))
-    return frozenset(names)
 
 
 @functools.cache
@@ -49,33 +21,16 @@ def loaded(statement):
 
 
 @pytest.mark.slow
-def test_no_imports_in_a_circle():
-    done = set()
-
-    def visit(name, path):
-        assert name not in path, f"{' -> '.join([*path, name])} is a circle"
-        if name not in done:
-            done.add(name)
-            for target in sorted(imported(name) & set(MODULES) - {name}):
-                # a package hands on names of the modules in it
-                if MODULES[target].name != "__init__.py":
-                    visit(target, [*path, name])
-
-    for name in sorted(MODULES):
-        visit(name, [])
-    assert done == set(MODULES)
-
-
-@pytest.mark.slow
 def test_planar_needs_numpy_and_scipy_and_nothing_else():
     # an interpreter of this environment may load packages itself; numpy and scipy bring some
     lent = loaded("import scipy.integrate, scipy.special, scipy.optimize.elementwise")
     third_party = {name.partition(".")[0] for name in loaded("import planar") - lent} - STANDARD
     assert third_party == {"planar"}
-    targets = {
-        (name, target.partition(".")[0]) for name in MODULES if name.startswith("planar") for target in imported(name)
-    }
-    foreign = {(name, target) for name, target in targets if target not in {"planar", "numpy", "scipy", *STANDARD}}
+    graph = grimp.build_graph(
+        "planar", include_external_packages=True, exclude_type_checking_imports=True, cache_dir=None
+    )
+    targets = {(name, target) for name in graph.modules for target in graph.find_modules_directly_imported_by(name)}
+    foreign = {pair for pair in targets if pair[1].partition(".")[0] not in {"planar", "numpy", "scipy", *STANDARD}}
     # where a picture or a data frame is asked for
     assert foreign == {("planar.plots", "matplotlib"), ("planar.plots", "pandas")}
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from sample_bodies import MESHES
-from small_scans import CUBE, EGG, FEW
+from small_scans import CUBE, EGG, FEW, SETTINGS, undrawn
 
 import scan3d
 from scan3d import batches, workers
@@ -24,10 +24,9 @@ from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files
 from scan3d.cli import main
 from scan3d.pictures import canvas
 from scan3d.settings import settings
+from tests.robustness.runner import Threads
 
 pytestmark = pytest.mark.all_samples  # the results are those of other processes
-SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
-"""Those of `FEW`, as keywords."""
 THREE = (EGG, CUBE, MESHES / "gem.glb")
 SUMMARIES = {"summary.csv", "index.html", "batch.json"}
 
@@ -45,8 +44,7 @@ def without_renderer(request, monkeypatch):
 def serial(tmp_path_factory):
     """Three bodies, one of them bad, scanned one after the other in this process."""
     place = tmp_path_factory.mktemp("serial")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "can_render", lambda: False)
+    with undrawn():
         return place / "out", scan3d.batch([*THREE, bad_mesh(place)], place / "out", **SETTINGS)
 
 
@@ -56,25 +54,10 @@ def bad_mesh(place):
     return path
 
 
-class Inline(Executor):
-    """An executor that computes at once, in place of processes; `jobs` as those."""
-
-    def __init__(self, jobs=1):
-        self.jobs = jobs
-
-    def submit(self, fn, /, *args, **kwargs):
-        future = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 @pytest.fixture
 def call(capsys, monkeypatch):
     """Run the command without further processes: (exit code, stdout, stderr)."""
-    monkeypatch.setattr(workers, "Workers", Inline)
+    monkeypatch.setattr(workers, "Workers", Threads)
 
     def run(*arguments):
         return main(["batch", *map(str, arguments)]), *capsys.readouterr()

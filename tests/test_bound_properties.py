@@ -22,33 +22,19 @@ def test_some_scans_are_as_stated():
     assert wrong(range(5), most=(8, 24)) == []
 
 
-def parts(first, middle, end):
-    """A part of the seeds for all tests, the rest for `make trust`."""
-    return [
-        pytest.param(range(first, middle), marks=pytest.mark.slow, id=f"{first} to {middle - 1}"),
-        pytest.param(range(middle, end), marks=pytest.mark.trust, id=f"{middle} to {end - 1}"),
-    ]
-
-
-@pytest.mark.parametrize("seeds", parts(100, 103, 160))
-def test_scans_are_as_stated(seeds):
-    assert wrong(seeds) == []
-
-
-@pytest.mark.parametrize("seeds", parts(200, 202, 230))
-def test_exact_scans_are_as_stated(seeds):
-    assert wrong(seeds, noise=(0.0,)) == []
-
-
-@pytest.mark.parametrize("seeds", parts(600, 601, 640))
-def test_noisy_scans_in_space_are_as_stated(seeds):
-    assert wrong(seeds, noise=(1e-3, 3e-3), model="spatial") == []
-
-
-def test_draws_repeat():
-    one, other = bounds.drawn(7), bounds.drawn(7)
-    assert str(one) == str(other)
-    assert (one.mesh.vertices == other.mesh.vertices).all()
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seeds", "limits"),
+    [
+        (range(100, 103), {}),
+        (range(200, 202), {"noise": (0.0,)}),
+        (range(600, 601), {"noise": (1e-3, 3e-3), "model": "spatial"}),
+    ],
+    ids=["any", "exact", "in space"],
+)
+def test_scans_are_as_stated(seeds, limits):
+    """A few of those that `tests.robustness.bounds` draws in `make trust`."""
+    assert wrong(seeds, **limits) == []
 
 
 @pytest.mark.slow

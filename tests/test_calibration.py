@@ -15,6 +15,7 @@ from scan3d import InputError
 from scan3d.calibration import fit
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
 from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded, weighed
+from scan3d.recording import of_rows
 from tests import references, rigs
 
 # A rig that differs from the nominal one in all ways, by much.
@@ -216,7 +217,7 @@ def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
         alike = [np.hstack(log.reactions(six_axis=True)).mean(axis=0) for log in (of_zero, of_sweep)]
         np.testing.assert_allclose(*alike, atol=truth.noise)
         # one sweep tells no weight
-        one = part(heavy, heavy.sweep == 0)
+        one = of_rows(heavy, heavy.sweep == 0)
         air = unloaded(one.sweep, *six_channels(one)[::-1], (0, 0), "constant")
         assert weighed(one, one.rod, found.frames()[0], np.eye(3), air, np.zeros((3, 3))).sd_N == np.inf
         assert "weight_N" in found.uncertainty().names
@@ -224,22 +225,12 @@ def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
         assert scan3d.read_rig(tmp_path / "rig.toml").rod == found.rod
 
 
-def part(recording, rows):
-    """The rows (n,) of a recording."""
-    columns = {
-        field.name: getattr(recording, field.name)[rows]
-        for field in dataclasses.fields(recording)
-        if isinstance(getattr(recording, field.name), np.ndarray)
-    }
-    return dataclasses.replace(recording, **columns)
-
-
 @pytest.mark.slow
 def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_value():
     raster = dict(directions=1, rolls=30, **SHORT)
     truth = dataclasses.replace(rigs.EXACT, clamp=(0.0006, 0.0, 0.0008), drift=(0.0,) * 6)
     recording = rigs.recorded(truth, **raster)
-    found = scan3d.calibrate(part(recording, recording.sweep % 3 == 0), rigs.DIAMETER)
+    found = scan3d.calibrate(of_rows(recording, recording.sweep % 3 == 0), rigs.DIAMETER)
     assert not found.well[found.names.index("clamp_y_mm")]
     assert found.values[found.names.index("clamp_y_mm")] == 0
     assert any("clamp_y_mm stays at the nominal value" in sentence for sentence in found.sentences)
@@ -369,11 +360,11 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     )
     few = rigs.recorded(sweeps=15, **SHORT)
     wrong_sign = dataclasses.replace(few, force_N=-few.force_N, force_z_N=-few.force_z_N)
-    late = part(recording, (recording.sweep != 7) | touching)
+    late = of_rows(recording, (recording.sweep != 7) | touching)
     assert (silent.force_z_N == zero).all()
     for given, reference, sentence in (
-        (part(recording, touching), rigs.DIAMETER, "has 0 rows in the air, and a calibration needs"),
-        (part(recording, ~touching), rigs.DIAMETER, "rows in contact that stand out from the noise"),
+        (of_rows(recording, touching), rigs.DIAMETER, "has 0 rows in the air, and a calibration needs"),
+        (of_rows(recording, ~touching), rigs.DIAMETER, "rows in contact that stand out from the noise"),
         (silent, rigs.DIAMETER, "has 0 rows in contact"),
         (wrong_sign, rigs.DIAMETER, "signs of forces and moments"),
         (recorded("plane", **SHORT)[0], rigs.DIAMETER, "do not fit a sphere of 30 mm"),

@@ -16,6 +16,7 @@ from scan3d.geometry.distance import Search
 from scan3d.geometry.hulls import hull
 from scan3d.planning.plan import aimed_line, aims
 from scan3d.reconstruction.contacts import contacts
+from scan3d.recording import of_rows
 from scan3d.surfaces.carved import carved
 
 HEIGHTS = np.linspace(-24.5, 24.5, 17)
@@ -159,9 +160,7 @@ def parts():
     flat.vertices *= (1, 1, 0.1)
     recording = scan3d.simulate(flat, scan3d.Plan(slices=2, samples=24))
     # of twelve sweeps in each slice, and of six beyond either end
-    rows, columns = recording.sweep < 36, ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
-    first = replace(recording, **{name: getattr(recording, name)[rows] for name in columns})
-    return [(part, scan3d.reconstruct(part)) for part in (first, recording)]
+    return [(part, scan3d.reconstruct(part)) for part in (of_rows(recording, recording.sweep < 36), recording)]
 
 
 @pytest.mark.slow

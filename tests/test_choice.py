@@ -12,7 +12,7 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import Slice, SliceStack
 from scan3d.surfaces import certificate, choice, enclosure, surface
-from scan3d.surfaces.estimates import _local, contours_between
+from scan3d.surfaces.estimates import contours_between
 
 
 @pytest.fixture(scope="module")
@@ -138,21 +138,6 @@ def stack_of(heights, support):
 def round_stack(profile, heights):
     """Slices of a body of revolution with the radius `profile(z)`."""
     return stack_of(np.array(heights, dtype=float), lambda angle, z: np.full(len(angle), profile(z)))
-
-
-def fraction_at(profile, heights, z):
-    """The fraction for a body of revolution with the radius `profile(z)`, in the slab of the height z."""
-    (found,) = _local(round_stack(profile, heights), np.searchsorted(heights, [z]), np.array([[0.1, 0.0, 0.0]]))
-    return float(found)
-
-
-def test_an_evenly_sliced_parabola_reaches_a_quarter_of_the_distance():
-    """Chord's height c d²/8, secants' apex 4 times that."""
-    assert fraction_at(lambda z: 10 - z * z, [-3, -2, -1, 0, 1, 2, 3], 0.5) == pytest.approx(0.25)
-
-
-def test_two_cones_with_a_common_base_reach_the_corner():
-    assert fraction_at(lambda z: 10 - abs(z), [-3, -2, -1, 1, 2, 3], 0.0) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -19,20 +19,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from small_scans import CUBE, EGG, MESHES
+from small_scans import CUBE, EGG, MESHES, RESULTS, SETTINGS, undrawn
 
 import scan3d
 from scan3d import results
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.files.shapes import read_ply
-from scan3d.pictures import canvas
 from scan3d.settings import Given, Settings, settings
 
 COMMAND = Path(sys.executable).with_name("scan3d")
 # A scan that takes a fraction of a second.
 FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")
-RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
 
 
 def tree(folder):
@@ -50,8 +48,7 @@ def assert_sentence(stderr, sentence):
 def scanned(tmp_path_factory):
     """The folder of a scan of the egg, and what the command printed with --json."""
     out, printed = tmp_path_factory.mktemp("scanned") / "out", io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        patch.setattr(canvas, "can_render", lambda: False)
+    with undrawn(), contextlib.redirect_stdout(printed):
         assert main(["scan", str(EGG), "--out", str(out), *FEW, "--friction", "0.2", "--json"]) == 0
     return out, printed.getvalue()
 
@@ -193,7 +190,7 @@ def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, 
     made = importlib.import_module("make_meshes").make("egg", 16)
     assert sorted(map(tuple, mesh.vertices)) == sorted(map(tuple, made.vertices))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
+    monkeypatch.setattr(verbs, "DEMO_SETTINGS", SETTINGS)
     code, stdout, _ = call("demo")
     assert code == 0
     assert "written to         scan3d-demo\n" in stdout
@@ -201,17 +198,6 @@ def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, 
     assert Path(named) == Path("scan3d-demo/view.html")
     assert Path(named).is_file()
     assert "Open" not in call("demo", "--quiet")[1]
-
-
-def test_without_a_renderer_all_but_pictures_is_written(call, tmp_path, no_pictures):
-    (tmp_path / "notes.txt").write_bytes(b"other content")
-    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path, *FEW)
-    assert code == 0
-    assert "Hausdorff distance" in stdout
-    assert_sentence(stderr, "no pictures: .*'apt-get install libegl1 libgl1'")
-    assert {p.name for p in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert set(report["files"]) == RESULTS
 
 
 def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, scanned, tmp_path, no_pictures):

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
+from raw_tables import POSED, si_map, write_numbers
 
 import scan3d
 from scan3d import InputError, Rod
@@ -87,41 +88,21 @@ def test_covariances_hold_what_noise_and_friction_do(seeds, tmp_path):
 
 def test_logs_of_two_channels_are_imported(tmp_path):
     mesh, whole = scanned()
-    turns = whole.quaternion
-    columns = [whole.sweep, *whole.position_m.T, *turns.T, *whole.force_N.T]
-    np.savetxt(
-        tmp_path / "log.csv",
-        np.column_stack(columns),
-        delimiter=",",
-        header="sweep,x,y,z,qw,qx,qy,qz,fx,fy",
-        comments="",
-    )
-    table = {
-        "columns": {
-            "sweep": "sweep",
-            "position": ["x", "y", "z"],
-            "orientation": {"quaternion": ["qw", "qx", "qy", "qz"]},
-            "force": ["fx", "fy"],
-            "moment": [""],
-        },
-        "units": {"length": "m", "force": "N", "moment": "N m"},
-        "tare": {"air": "none"},
-        "noise": {"force_N": 0.0, "moment_Nm": 0.0},
-        "rod": {"length_m": WIRE.length_m, "bending_stiffness_Nm2": WIRE.bending_stiffness_Nm2},
-    }
-    read = scan3d.import_table(tmp_path / "log.csv", table | {"known": {"friction": FRICTION}})
-    assert np.abs(distances(contacts(read).points, mesh)).max() < 1e-8 * 40
-    wrong = [
-        (table, "mz was not measured; \\[known\\] of the map may state"),
-        (table | {"known": {"friction_sd": 0.1}}, "needs friction, or contact"),
-    ]
-    for map, words in wrong:
+    log, exact = tmp_path / "log.csv", {"force_N": 0.0, "moment_Nm": 0.0}
+    write_numbers(log, f"{POSED},fx,fy", whole.sweep, whole.position_m, whole.quaternion, whole.force_N)
+
+    def read(moment="", **known):
+        stated = {"noise": exact} | ({"known": known} if known else {})
+        return scan3d.import_table(log, si_map(WIRE, ["fx", "fy"], [moment], **stated))
+
+    assert np.abs(distances(contacts(read(friction=FRICTION)).points, mesh)).max() < 1e-8 * 40
+    for wrong, words in (
+        ({}, "mz was not measured; \\[known\\] of the map may state"),
+        ({"friction_sd": 0.1}, "needs friction, or contact"),
+        ({"friction": FRICTION, "moment": "fy"}, "of these 0 are missing"),
+    ):
         with pytest.raises(InputError, match=words):
-            scan3d.import_table(tmp_path / "log.csv", map)
-    measured = table | {"known": {"friction": FRICTION}}
-    measured["columns"] = table["columns"] | {"moment": ["fy"]}
-    with pytest.raises(InputError, match="of these 0 are missing"):
-        scan3d.import_table(tmp_path / "log.csv", measured)
+            read(**wrong)
 
 
 def test_what_two_channels_do_not_tell_is_refused(tmp_path):

@@ -13,15 +13,14 @@ from scipy.spatial.transform import Rotation
 from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed, drift, offset, sensor
 
-import planar
-import planar.rods
 import scan3d
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import cause_of_no_contact, checked, diagnose
-from scan3d.recording import Recording
 from scan3d.report import key_figures, report
-from scan3d.rods import Rod
+from tests import rigs
+from tests.robustness import faults
+from tests.robustness.shot_rods import Bent, noisy
 
 
 @functools.cache
@@ -39,10 +38,6 @@ def in_space(noise=0.0):
 def cube_in_space():
     plan = scan3d.Plan(model="spatial", slices=8, samples=32, friction=0.3)
     return scan3d.simulate(scan3d.load_mesh(MESHES / "cube.stl"), plan)
-
-
-def moved_in_plane(x_mm, y_mm):
-    return lambda r: replace(r, moment_Nm=r.moment_Nm - (x_mm * r.force_N[:, 1] - y_mm * r.force_N[:, 0]) / 1000)
 
 
 def diagnosed(recording):
@@ -72,35 +67,9 @@ def read_as_simple(noise=0.0, seed=0, name="egg.stl", slices=8, **rod):
     return replace(scan3d.simulate(scan3d.load_mesh(MESHES / name), plan), rod=simple)
 
 
-def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6, upright=90.0):
-    """A scan in the planes of gravity of an ellipsoid, with a rod of a weight in EI/L², that is read as weightless."""
-    rod, rng = Rod.wire(0.05, 0.0003, 210e9), np.random.default_rng(seed)
-    columns = []
-    for number, (height, turn) in enumerate(
-        (height, 0.2 + 2 * np.pi * k / directions)
-        for height in np.linspace(-0.8, 0.8, heights)
-        for k in range(directions)
-    ):
-        axes = Rotation.from_euler("z", turn).as_matrix().T
-        sizes = np.sqrt(1 - height**2) * np.array([0.45, 0.3])
-        distance, down = 0.62 + np.hypot(*(sizes * axes[1, :2])) / 2, -axes[:2, 1]
-        bent = planar.Rod(weight=weight, gravity=down)
-        swept = planar.sweep(planar.Ellipse(sizes, (0.0, distance), -turn), friction=0.3, samples=30, rod=bent)
-        touching, air = np.isfinite(swept.m0z), np.array(planar.rods.free_reactions(bent))
-        reactions = np.stack([swept.f0x, swept.f0y, swept.m0z], axis=1)[touching]
-        reactions = np.vstack([air, air, reactions]) - air * tared
-        base = np.concatenate([swept.x0[touching][0] + [0.1, 0.05], swept.x0[touching]])  # each sweep begins in the air
-        place = np.outer(base, axes[0]) - distance * axes[1] + [0, 0, 0.35 * height]
-        turns = np.tile(Rotation.from_matrix(axes.T).as_quat(scalar_first=True), (len(place), 1))
-        columns.append((np.full(len(place), number), place, turns, reactions))
-    sweep, place, turns, reactions = (np.concatenate(column) for column in zip(*columns, strict=True))
-    reactions += noise * rng.standard_normal(reactions.shape)
-    force, moment = reactions[:, :2] * rod.force_unit_N, reactions[:, 2] * rod.moment_unit_Nm
-    # unless the world is turned, its z axis is that of the slices, and gravity lies along -y
-    upright = Rotation.from_euler("x", upright, degrees=True)
-    turns = (upright * Rotation.from_quat(turns, scalar_first=True)).as_quat(scalar_first=True)
-    stated = dict(noise_force_N=noise * rod.force_unit_N, noise_moment_Nm=noise * rod.moment_unit_Nm)
-    return Recording(sweep, upright.apply(place) * rod.length_m, turns, force, moment, rod, **stated)
+def heavy(weight, tared, noise=0.0):
+    """A scan in the planes of gravity, by a rod of a weight in EI/L² that is integrated on its own, read as weightless."""
+    return noisy(faults.exact(0, 8, Bent(weight=weight), tared, "strong"), noise, np.random.default_rng(0))
 
 
 def trusted(*values):
@@ -155,7 +124,7 @@ def test_a_planar_fault_is_named_with_its_size(name, fault):
 def test_planar_offsets_and_zeros_are_named_with_their_size(name):
     right = in_plane(name)
     unit, length_mm = right.rod.force_unit_N, 1000 * right.rod.length_m
-    found = diagnosed(moved_in_plane(0.05 * length_mm, -0.2 * length_mm)(right))
+    found = diagnosed(faults.moved(0.05, -0.2)(right))
     assert (found.fault, found.unit) == ("moment-not-moved", "mm")
     assert found.value == pytest.approx(np.hypot(0.05, 0.2) * length_mm, rel=0.01)
     found = diagnosed(offset(0.1, -0.1)(right))
@@ -313,7 +282,8 @@ def test_the_weight_of_a_rod_is_named(weight, tared, noise):
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", [trusted(0.02), trusted(0.1)])
 def test_gravity_is_where_a_sensor_that_was_not_tared_shows_it(weight):
-    recording = heavy(weight, False, 1e-4, upright=0.0)
+    # in a world that is turned, so that gravity lies along its y axis
+    recording = rigs.in_world(heavy(weight, False, 1e-4), Rotation.from_euler("x", 90, degrees=True))
     found = checked(recording, scan3d.reconstruct(recording)).diagnosis
     assert found.fault == "weight", found
     assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.1)
@@ -324,8 +294,8 @@ def test_gravity_is_where_a_sensor_that_was_not_tared_shows_it(weight):
 def test_a_wrench_that_is_later_than_its_pose_is_named(speed):
     """It is that of a pose that lay 3 mm back, against the sweep in -x."""
     right = in_plane()
-    late = replace(right, position_m=right.position_m - 0.003 * right.axes()[:, 0], source={"speed_m_per_s": speed})
-    found = diagnosed(late)
+    late = faults.late(0.003 / right.rod.length_m)(right)
+    found = diagnosed(replace(late, source={"speed_m_per_s": speed}))
     assert (found.fault, found.unit) == ("delay", "s" if speed else "mm")
     assert found.value == pytest.approx(0.15 if speed else 3.0, rel=1e-3)
     assert f"wrench later than pose by 3 mm of the sweeps' way{', 0.15 s' if speed else ''}" in found.message
@@ -333,9 +303,7 @@ def test_a_wrench_that_is_later_than_its_pose_is_named(speed):
 
 
 def test_a_wrench_in_the_frame_of_the_poses_is_named():
-    right = in_plane()
-    in_world = np.einsum("nij,ni->nj", right.axes(), np.pad(right.force_N, ((0, 0), (0, 1))))
-    found = diagnosed(replace(right, force_N=in_world[:, :2]))
+    found = diagnosed(faults.in_world(in_plane()))
     assert found.fault == "wrench-in-world", found
     assert 'wrench_in = "world"' in found.message
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 import pytest
+from small_scans import SETTINGS
 
 import planar
 import scan3d
@@ -89,7 +90,7 @@ def fewer(text: str) -> str:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demonstration has few slices, no scan draws, and batches and pictures need no process: other tests show these."""
-    monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
+    monkeypatch.setattr(verbs, "DEMO_SETTINGS", SETTINGS)
     monkeypatch.setattr(workers, "Workers", Threads)
     monkeypatch.setattr(canvas, "can_render", lambda: False)
     monkeypatch.setattr(drawing, "draw", drawing._pictures)

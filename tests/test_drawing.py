@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from small_scans import CUBE, FEW, scanned
+from small_scans import CUBE, FEW, RESULTS, SETTINGS, scanned
 
 import scan3d
 from scan3d import pipeline
@@ -34,7 +34,7 @@ def test_a_child_draws_while_a_scan_compares_and_as_this_process_does_afterwards
     """Whatever its matplotlibrc."""
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\naxes.linewidth: 5\n")
     monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
-    scan = scan3d.scan(CUBE, tmp_path / "early", slices=4, sweeps=4, samples=8)
+    scan = scan3d.scan(CUBE, tmp_path / "early", **SETTINGS)
     monkeypatch.setattr(pipeline, "Drawing", lambda: DrawnHere(DrawnHere()))
     scan.save(tmp_path / "late")
     for name in ("cloud.png", "surface.png", "view.html"):
@@ -69,9 +69,7 @@ def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, 
     out, sentence = tmp_path / "out", "the renderer crashed (SIGSEGV)"
     code, _, err = call("scan", CUBE, "--out", out, *FEW)
     assert (code, err) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
-    assert {path.name for path in out.iterdir()} == {
-        "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
-    }  # fmt: skip
+    assert {path.name for path in out.iterdir()} == RESULTS
     assert call("show", out, "--screenshot", tmp_path / "a.png") == (1, "", f"scan3d: {sentence}\n")
     assert not (tmp_path / "a.png").exists()
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from raw_tables import POSED, si_map, write_numbers
 
 import planar
 import scan3d
@@ -60,27 +61,6 @@ def test_touches_at_a_fixed_base_are_read_row_by_row():
 
 
 AXES, LENGTH = np.array([0.9, 0.675, 0.45]), 0.06
-MAP = """
-[columns]
-sweep = "sweep"
-position = ["x", "y", "z"]
-orientation = {quaternion = ["qw", "qx", "qy", "qz"]}
-force = ["", "", ""]
-moment = ["mx", "", "mz"]
-[units]
-length = "m"
-force = "N"
-moment = "N m"
-[tare]
-air = "none"
-[noise]
-moment_Nm = %g
-[rod]
-length_m = 0.06
-bending_stiffness_Nm2 = 1e-4
-[known]
-friction = %g
-"""
 
 
 def test_logs_of_two_moments_in_space_are_imported(tmp_path):
@@ -92,15 +72,16 @@ def test_logs_of_two_moments_in_space_are_imported(tmp_path):
     force, moment = (np.where(touching, part, 0.0).reshape(-1, 3) for part in (swept.force, swept.moment))
     true = inverse.reconstruct(force, moment, tolerance=0.3).point + position.reshape(-1, 3)
     unit, place, chi = 1e-4 / LENGTH, LENGTH * position.reshape(-1, 3), []
-    columns = np.column_stack([np.repeat(np.arange(3), n), place, np.tile([1.0, 0, 0, 0], (3 * n, 1))])
-    (tmp_path / "map.toml").write_text(MAP % (noise * unit, 0))
+    columns, log = [np.repeat(np.arange(3), n), place, np.tile([1.0, 0, 0, 0], (3 * n, 1))], tmp_path / "log.csv"
+
+    def read(**known):
+        rod, told = scan3d.Rod(LENGTH, 1e-4), dict(noise={"moment_Nm": noise * unit}, known=known)
+        return scan3d.import_table(log, si_map(rod, [""] * 3, ["mx", "", "mz"], **told))
+
     for seed in range(2):
         measured = (moment + noise * np.random.default_rng(seed).standard_normal(moment.shape))[:, [0, 2]] * unit
-        table = np.column_stack([columns, measured])
-        header = "sweep,x,y,z,qw,qx,qy,qz,mx,mz"
-        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
-        recording = scan3d.import_table(tmp_path / "log.csv", tmp_path / "map.toml")
-        scan3d.write_recording(recording, tmp_path / "done.csv", overwrite=True)
+        write_numbers(log, f"{POSED},mx,mz", *columns, measured)
+        scan3d.write_recording(read(friction=0), tmp_path / "done.csv", overwrite=True)
         recording = scan3d.read_recording(tmp_path / "done.csv")
         cloud = scan3d.reconstruct(recording)
         assert len(cloud) > 0.8 * touching.sum()
@@ -114,14 +95,11 @@ def test_logs_of_two_moments_in_space_are_imported(tmp_path):
         turned = np.cross(normal, cloud.normals) / np.linalg.norm(normal, axis=1)[:, None]
         assert np.median(np.linalg.norm(turned, axis=1)) < 0.01
     assert 0.5 < np.mean(chi) < 1.5, chi
-    (tmp_path / "map.toml").write_text(MAP % (noise * unit, 0.2))
     with pytest.raises(InputError, match="two moments locate contacts without friction only"):
-        scan3d.import_table(tmp_path / "log.csv", tmp_path / "map.toml")
+        read(friction=0.2)
     # of the moment about z alone friction may be known; here every sweep leaves the plane
-    tips = (MAP % (noise * unit, 0)).replace("friction = 0", 'contact = "tip"')
-    (tmp_path / "map.toml").write_text(tips)
     with pytest.raises(InputError, match="tangential contacts with a known friction only"):
-        scan3d.import_table(tmp_path / "log.csv", tmp_path / "map.toml")
+        read(contact="tip")
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -131,9 +109,8 @@ def test_recordings_of_the_moment_alone_are_completed(friction, tmp_path):
     kept = np.isfinite(swept.m0z)
     n = int(kept.sum())
     position = np.column_stack([LENGTH * swept.x0[kept], np.zeros((n, 2))])
-    columns = np.column_stack([np.zeros(n), position, np.tile([1.0, 0, 0, 0], (n, 1)), swept.m0z[kept] * unit])
-    header = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,mz_Nm"
-    np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header=header, comments="")
+    columns = np.zeros(n), position, np.tile([1.0, 0, 0, 0], (n, 1)), swept.m0z[kept] * unit
+    write_numbers(tmp_path / "log.csv", "sweep,x_m,y_m,z_m,qw,qx,qy,qz,mz_Nm", *columns)
     rod = "[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 1e-4\n"
     (tmp_path / "log.toml").write_text(f"{rod}[noise]\nmoment_Nm = {1e-6 * unit}\n[known]\nfriction = {friction}\n")
     recording = scan3d.read_recording(tmp_path / "log.csv")
@@ -182,9 +159,7 @@ def test_tables_of_the_moment_alone_are_reconstructed(direction, friction, tmp_p
     body = planar.Ellipse((0.5, 0.3), (0.0, 0.75), 0.3)
     swept = planar.sweep(body, friction, samples=80, direction=direction)
     kept = np.isfinite(swept.m0z)
-    lines = [f"{x:.17g},{m:.17g}" for x, m in zip(swept.x0[kept], swept.m0z[kept], strict=True)]
-    path = tmp_path / "sweep.csv"
-    path.write_text("x0,m0z\n" + "\n".join(lines) + "\n")
+    path = write_numbers(tmp_path / "sweep.csv", "x0,m0z", swept.x0[kept], swept.m0z[kept])
     with pytest.raises(InputError, match="lacks f0x, f0y"):
         read_sweep(path)
     path.with_suffix(".toml").write_text(f"[known]\nfriction = {friction}\n")

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from matplotlib.path import Path as MatplotlibPath
 from sample_bodies import MESHES
-from shapes import box, letter_l
+from shapes import letter_l
 from small_scans import undrawn
 
 import scan3d
@@ -23,6 +23,8 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import is_convex, runs_both_ways
 from scan3d.geometry.sections import slice_frame, slice_outlines
 from scan3d.pictures.parts import shown_sweep
+from tests.benchmarks.everyday import box as block
+from tests.benchmarks.everyday import plate
 
 FLAT = np.eye(3)
 
@@ -30,12 +32,6 @@ FLAT = np.eye(3)
 def area(polygon):
     following = np.roll(polygon, -1, axis=0)
     return ((polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]).sum()) / 2
-
-
-def at(*place):
-    mesh = box()
-    mesh.apply_translation(place)
-    return mesh
 
 
 @pytest.mark.parametrize(
@@ -51,7 +47,7 @@ def at(*place):
 )
 @pytest.mark.parametrize("height", [0.3, 0.4999])
 def test_sections_of_shells_are_those_of_their_union(places, areas, height):
-    mesh = trimesh.util.concatenate([at(*place) for place in places])
+    mesh = trimesh.util.concatenate([block(1, 1, 1, *place) for place in places])
     (outlines,) = slice_outlines(mesh, FLAT, np.array([height]))
     assert sorted(map(area, outlines)) == pytest.approx(areas, rel=1e-12)
 
@@ -172,19 +168,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
     """With friction drawn anew for each sample nothing else tells of contacts that are off by a ten-thousandth of the rod."""
     angle = 2 * np.pi * np.arange(32) / 32
     outline = 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.where(np.arange(32) % 2, 0.978, 1.0)[:, None]
-    low, high = (np.column_stack([outline, np.full(32, z)]) for z in (0, 10))
-    here, there, middle = np.arange(32), np.roll(np.arange(32), -1), np.full(32, 64)
-    faces = [
-        (here, there, there + 32),
-        (here, there + 32, here + 32),
-        (there, here, middle),
-        (here + 32, there + 32, middle + 1),
-    ]
-    mesh = trimesh.Trimesh(
-        np.concatenate([low, high, [[0, 0, 0], [0, 0, 10]]]),
-        np.concatenate([np.stack(f, axis=1) for f in faces]),
-        process=False,
-    )
+    mesh = plate(outline, 10)
     assert mesh.is_volume
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=1, sweeps=6, friction=(0.0, 0.4)))
     cloud = scan3d.reconstruct(recording)
@@ -195,12 +179,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
 @pytest.mark.slow
 def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing():
     """The first row in which a rod touched two legs of a table gave a contact, a quarter of the rod's length off."""
-    legs = []
-    for x, y in ((-16, -11), (-16, 11), (16, -11), (16, 11)):
-        leg = trimesh.creation.box((4, 4, 8))
-        leg.apply_translation((x, y, 0))
-        legs.append(leg)
-    mesh = trimesh.util.concatenate(legs)
+    mesh = trimesh.util.concatenate([block(4, 4, 8, x, y, 0) for x in (-16, 16) for y in (-11, 11)])
     plan = scan3d.Plan(slices=1, sweeps=6, samples=64, friction=(0.0, 0.4), rod=scan3d.Rod.of_length(0.0505))
     recording = scan3d.simulate(mesh, plan)
     cloud = scan3d.reconstruct(recording)

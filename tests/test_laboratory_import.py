@@ -1,7 +1,5 @@
 """Tables of a rig, made from simulated recordings by the inverse of the import, come back as these recordings."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scipy.io
@@ -18,6 +16,8 @@ from scan3d.laboratory import signals
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import guess_map, read_map
 from scan3d.laboratory.signals import robust_sd
+from scan3d.recording import of_rows
+from tests.rig_errors import six_axis
 
 EXACT = Rig()
 RIG_WITH_NOISE = Rig(noise=0.002)
@@ -57,10 +57,7 @@ def imported(path, columns, data, **keywords):
 
 def six(recording):
     """(n, 6) reactions, zeros where they were not measured."""
-    if recording.six_axis:
-        return np.concatenate(recording.wrench(), axis=1)
-    zero = np.zeros((len(recording), 1))
-    return np.concatenate([recording.force_N, zero, zero, zero, recording.moment_Nm[:, None]], axis=1)
+    return np.hstack(six_axis(recording).wrench())
 
 
 def same_rows(log, found):
@@ -430,9 +427,7 @@ def test_a_convention_with_which_some_sweeps_are_found_is_doubted(tmp_path, spat
     # as many sweeps that are found all the same as others
     numbers = np.arange(len(first))
     few = np.isin(spatial.sweep, [*numbers[right], *numbers[~right][: right.sum()]])
-    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm", "force_z_N", "moment_x_Nm", "moment_y_Nm")
-    chosen = dataclasses.replace(spatial, **{name: getattr(spatial, name)[few] for name in names})
-    columns = table(track(chosen), EXACT, euler="ZYX")
+    columns = table(track(of_rows(spatial, few)), EXACT, euler="ZYX")
     assert imported(tmp_path / "log.csv", columns, map_of(spatial.rod, EXACT, euler="ZYX")).summary.notes == ()
     found = imported(tmp_path / "log.csv", columns, map_of(spatial.rod, EXACT, euler="zyx")).summary
     assert 2 <= found.sweeps <= right.sum()

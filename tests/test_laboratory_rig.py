@@ -8,7 +8,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from raw_tables import Rig, map_of
+from raw_tables import POSED, si_map, write_numbers
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +18,6 @@ from scan3d.files.text import rod_section, to_toml
 from tests import rigs
 
 TRUTH = dataclasses.replace(rigs.EXACT, drift=(0.0,) * 6)
-NAMES = ("t", "n", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 NOMINAL = {"position_mm": [2.0, -15.0, 1.0], "euler_deg": [5.0, 20.0, -3.0]}
 CLAMP = {"position_mm": [1.0, 2.0, -0.5], "euler_deg": [1.0, 0.0, 2.0]}
 
@@ -28,10 +27,9 @@ pytestmark = pytest.mark.slow
 
 
 def a_map(**sections):
-    """The map of the table: everything in SI units."""
-    units = {"time": "s", "length": "m", "force": "N", "moment": "N m"}
-    made = map_of(rigs.ROD, Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), units=units) | sections
-    made["columns"] |= {"sweep": "n", "orientation": {"quaternion": ["qw", "qx", "qy", "qz"]}}
+    """The map of the table."""
+    made = si_map(rigs.ROD, tare={"air": "auto"}, **sections)
+    made["columns"]["time"], made["units"]["time"] = "t", "s"
     return made
 
 
@@ -47,14 +45,9 @@ def true_frames():
 def table(tmp_path_factory):
     """The log of a rig that touches a sphere."""
     recording = rigs.recorded(TRUTH, samples=60)
-    force, moment = recording.wrench()
-    time = np.arange(len(recording)) / 100
-    columns = [time, recording.sweep, recording.position_m, recording.quaternion, force, moment]
+    columns = [recording.sweep, recording.position_m, recording.quaternion, *recording.wrench()]
     path = tmp_path_factory.mktemp("log") / "log.csv"
-    rows = np.column_stack(columns)
-    form = ["%.17g"] * len(NAMES)
-    np.savetxt(path, rows, delimiter=",", header=",".join(NAMES), comments="", fmt=form)
-    return path
+    return write_numbers(path, f"t,{POSED},fx,fy,fz,mx,my,mz", np.arange(len(recording)) / 100, *columns)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from small_scans import RESULTS
 
 import scan3d
 from scan3d import pipeline
@@ -79,7 +80,6 @@ def test_under_noise_the_bounds_are_those_of_the_contacts_own_uncertainty():
     assert analysis.certificate.bound > scan3d.surfaces.enclosure(analysis.cloud, margin=0.0).bound
 
 
-RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
 PICTURES = {"cloud.png", "surface.png"}
 
 

@@ -1,15 +1,16 @@
 """Recordings: written and read bit for bit, refused with a message, and reconstructed when they come from a laboratory."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
+from rings import recording_of
 from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d import InputError, Recording, Rod, read_recording, reconstruct, write_recording
 from scan3d.files.recordings import COLUMNS
+from tests import rigs
 
 HEADER = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm"
 ROW = "0,0.1,0.2,0.3,1,0,0,0,-0.01,0.02,0.0005"
@@ -168,55 +169,25 @@ def test_broken_toml_files_are_refused(tmp_path, meta, sentence):
 # --- a laboratory's recording: made with planar alone, in a world that knows nothing of slices or meshes ---
 
 
-LABORATORY_ROD = Rod(0.05, 8.35e-5)  # the one in TOML
-
-
-def laboratory(turn, shift, radius, rod=LABORATORY_ROD):
-    """Poses and wrenches of a rod that touches a ball of a given radius, in two of its planes from four sides each.
-
-    The ball's centre lies at `shift` in the world, and the rig stands turned by `turn` about it.  Returns the table's rows.
-    """
-    rows = []
-    for level, height in enumerate((-0.5 * radius, 0.3 * radius)):
-        inside = math.sqrt(radius**2 - height**2)
-        for side in range(4):
-            # the clamp's axes in the rig: the rod, y, points to the ball's axis; z is the rig's
-            angle = side * np.pi / 2
-            y = np.array([np.cos(angle), np.sin(angle), 0.0])
-            z = np.array([0.0, 0.0, 1.0])
-            axes = turn.apply(np.stack([np.cross(y, z), y, z]))
-            far = 1.2 * inside + 0.2 * rod.length_m  # of the base line from the ball's axis
-            swept = planar.sweep(
-                planar.Circle(inside / rod.length_m, (0.0, far / rod.length_m)), friction=0.25, samples=9
-            )
-            origin = shift + turn.apply([0.0, 0.0, height]) - far * axes[1]
-            quaternion = Rotation.from_matrix(axes.T).as_quat(scalar_first=True)
-            if side % 2:
-                quaternion = -quaternion  # the same orientation
-            for i in range(9):
-                force = np.nan_to_num([swept.f0x[i], swept.f0y[i]]) * rod.bending_stiffness_Nm2 / rod.length_m**2
-                moment = np.nan_to_num(swept.m0z[i]) * rod.bending_stiffness_Nm2 / rod.length_m
-                position = origin + swept.x0[i] * rod.length_m * axes[0]
-                rows.append([4 * level + side, *position, *quaternion, *force, moment])
-    return rows
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_laboratorys_recording_in_an_arbitrary_world(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    turn, shift, radius = Rotation.random(rng=rng), rng.uniform(-1, 1, 3), 0.02
-    rows = laboratory(turn, shift, radius)
-    table = "\n".join([HEADER, *(",".join(map(repr, map(float, row))) for row in rows)])
-    recording = read_recording(write(tmp_path, table, 'unit = "cm"\n' + TOML))
-    cloud = reconstruct(recording)
+    """A ball is touched in two of its planes from four sides each, by a rig that stands anywhere, and turned."""
+    rng, radius = np.random.default_rng(seed), 20.0
+    turn, shift = Rotation.random(rng=rng), rng.uniform(-1, 1, 3)
+    made = recording_of(lambda z: np.sqrt(radius**2 - z**2), [-10.0, 6.0], directions=4, samples=9, friction=0.25)
+    moved = rigs.in_world(made, turn, shift)
+    same_turns = np.where(made.sweep[:, None] % 2, -moved.quaternion, moved.quaternion)
+    stated = dict(quaternion=same_turns, rod=made.rod.without_thickness(), unit="cm", source={})
+    write_recording(dataclasses.replace(moved, **stated), tmp_path / "log.csv")
+    cloud = reconstruct(read_recording(tmp_path / "log.csv"))
 
     assert cloud.unit == "cm"
-    assert cloud.rod_length == pytest.approx(5.0)
+    assert cloud.rod_length == pytest.approx(6.0)
     # the first sample of a sweep only touches, and the rest are contacts with the ball
-    assert len(cloud) == len(rows) - 8
+    assert len(cloud) == len(made) - 8
     away = cloud.points - 100 * shift
     # 1e-12 of the metre that the positions are large
-    assert np.linalg.norm(away, axis=1) == pytest.approx(np.full(len(cloud), 100 * radius), abs=1e-9)
+    assert np.linalg.norm(away, axis=1) == pytest.approx(np.full(len(cloud), 0.1 * radius), abs=1e-9)
     assert away @ turn.apply([0, 0, 1]) == pytest.approx(np.repeat([-1.0, 0.6], len(cloud) // 2), abs=1e-9)
     tangential = cloud.phase == planar.Phase.TANGENTIAL
     assert 0 < tangential.sum() < len(cloud)

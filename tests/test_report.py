@@ -10,7 +10,6 @@ import scan3d
 from scan3d.bounds.constraints import sigmas
 from scan3d.pipeline import analyse
 from scan3d.report import measurands, report, summary
-from scan3d.surfaces import enclosure
 
 
 def measured(analysis):
@@ -54,19 +53,6 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     assert found["volume"]["unit"] == "mm³"
     factor = found["volume"]["coverage_factor"]
     assert factor == (sigmas(len(analysis.cloud)) if noise else None)
-
-
-@pytest.mark.slow
-def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction(exact):
-    mesh, cloud = turned_box(), scan3d.reconstruct(exact)
-    directions = trimesh.creation.icosphere(3).vertices.view(np.ndarray)
-    lower, upper = enclosure(cloud).support(directions)
-    true = (mesh.vertices @ directions.T).max(axis=0)
-    assert (lower <= true + 1e-9).all()
-    assert (true <= upper + 1e-9).all()
-    planes = enclosure(cloud).outer_planes()
-    assert len(planes) >= 6
-    assert (mesh.vertices @ planes[:, :3].T <= planes[:, 3] + 1e-9).all()
 
 
 @pytest.mark.slow

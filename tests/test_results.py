@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
-from small_scans import CUBE, EGG, FEW
+from small_scans import CUBE, EGG, FEW, SETTINGS, undrawn
 
 import scan3d
 from scan3d.bounds import Certificate
@@ -17,23 +17,14 @@ from scan3d.pictures import canvas
 from scan3d.settings import settings
 from scan3d.shown import described
 
-SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
-"""Those of `FEW`, as keywords."""
-
-
-@pytest.fixture(autouse=True)
-def without_renderer(request, monkeypatch):
-    """No pictures, which take longer than everything else."""
-    if "rendering" not in request.keywords:
-        monkeypatch.setattr(canvas, "can_render", lambda: False)
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A scan of an egg in a folder, and its result."""
     folder = tmp_path_factory.mktemp("scans") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "can_render", lambda: False)
+    with undrawn():
         return folder, scan3d.scan(EGG, folder, **SETTINGS)
 
 

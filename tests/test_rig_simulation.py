@@ -300,38 +300,25 @@ def test_files_of_faults_are_read(tmp_path):
     assert read_faults(tmp_path / "none.toml") == Faults()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with planned poses, faults, an exact log and one with faults."""
-    place = tmp_path_factory.mktemp("rig")
-    (place / "faults.toml").write_text(FAULTS)
-    plan = ["plan", "--around", "cylinder:50x60", "--slices", "3", "--samples", "40", "--quiet"]
-    assert main([*plan, "--out", str(place / "poses.csv")]) == 0
-    run = ["simulate", str(EGG), "--poses", str(place / "poses.csv"), "--quiet"]
-    assert main([*run, "--out", str(place / "exact.csv"), "--placed", str(place / "placed.ply")]) == 0
-    assert main([*run, "--out", str(place / "raw.csv"), "--faults", str(place / "faults.toml")]) == 0
-    return place
-
-
-def test_an_exact_log_is_a_recording(folder, egg):
-    recording = scan3d.read_recording(folder / "exact.csv")
-    poses = read_poses(folder / "poses.csv")
+def test_an_exact_log_is_a_recording(rig_folder, egg):
+    recording = scan3d.read_recording(rig_folder / "log.csv")
+    poses = read_poses(rig_folder / "poses.csv")
     rows = np.concatenate(poses.sweeps())
     assert (recording.position_m == poses.position_m[rows]).all()
     assert (recording.sweep == poses.sweep[rows]).all()
     assert recording.rod == replace(poses.rod, diameter_m=0.0)
     assert recording.source["moved"] == [0, 0, 28]
-    header, *lines = (folder / "exact.csv").read_text().splitlines()
+    header, *lines = (rig_folder / "log.csv").read_text().splitlines()
     assert header == "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm,t_s,move"
     assert len(lines) == len(poses)
-    placed = scan3d.load_mesh(folder / "placed.ply")
+    placed = scan3d.load_mesh(rig_folder / "placed.ply")
     np.testing.assert_allclose(placed.bounds, egg.bounds, atol=1e-12)
     assert distances(scan3d.reconstruct(recording).points, placed).max() < 1e-9 * 1000 * recording.rod.length_m
 
 
-def test_a_log_with_faults_has_a_map_of_what_is_known(folder):
-    mapped = tomllib.loads((folder / "raw_map.toml").read_text())
-    header = (folder / "raw.csv").read_text().partition("\n")[0].split(",")
+def test_a_log_with_faults_has_a_map_of_what_is_known(rig_folder):
+    mapped = tomllib.loads((rig_folder / "raw_map.toml").read_text())
+    header = (rig_folder / "raw.csv").read_text().partition("\n")[0].split(",")
     columns = mapped["columns"]
     named = [
         columns["time"],
@@ -344,9 +331,9 @@ def test_a_log_with_faults_has_a_map_of_what_is_known(folder):
     assert mapped["units"] == {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"}
     # the nominal frame and rod, and nothing of the faults
     assert mapped["sensor"] == {"position_mm": [0, -19, 0], "euler_deg": [0, 0, 0], "shows": "rod-on-clamp"}
-    assert mapped["rod"]["length_m"] == 0.05
+    assert mapped["rod"]["length_m"] == 0.06
     assert not {"bias", "noise", "lag", "drift", "missing"} & set(mapped)
-    table = np.loadtxt(folder / "raw.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(rig_folder / "raw.csv", delimiter=",", skiprows=1)
     steps = np.round(np.diff(table[:, 0]) * 40)
     # rows are lost in gaps of two
     assert set(steps) <= {1, 3, 5}
@@ -355,26 +342,26 @@ def test_a_log_with_faults_has_a_map_of_what_is_known(folder):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
-    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--quiet", "--faults"]
-    assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
+def test_the_same_seed_gives_the_same_bytes(rig_folder, tmp_path):
+    run = ["simulate", str(EGG), "--poses", str(rig_folder / "poses.csv"), "--quiet", "--faults"]
+    assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     for name in ("raw.csv", "raw_map.toml"):
-        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (rig_folder / name).read_bytes()
     (tmp_path / "other.toml").write_text(FAULTS.replace("seed = 3", "seed = 4"))
     assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
-    assert (tmp_path / "raw.csv").read_bytes() != (folder / "raw.csv").read_bytes()
+    assert (tmp_path / "raw.csv").read_bytes() != (rig_folder / "raw.csv").read_bytes()
     # the command line takes precedence over the file, for the faults as well
     other = (tmp_path / "raw.csv").read_bytes()
-    assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0
+    assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0
     assert (tmp_path / "raw.csv").read_bytes() == other
 
 
 @pytest.mark.slow
-def test_the_command_reports_what_it_wrote(folder, tmp_path, capsys):
-    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--json"]
+def test_the_command_reports_what_it_wrote(rig_folder, tmp_path, capsys):
+    run = ["simulate", str(EGG), "--poses", str(rig_folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--json"]
     assert main([*run, "--model", "spatial", "--friction", "0.0:0.2", "--rod", "steel:0.3x50"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["rows"] == len(read_poses(folder / "poses.csv"))
+    assert data["rows"] == len(read_poses(rig_folder / "poses.csv"))
     assert data["moved"] == [0, 0, 28]
     recording = scan3d.read_recording(tmp_path / "raw.csv")
     assert recording.six_axis

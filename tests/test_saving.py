@@ -8,12 +8,11 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from small_scans import CUBE, EGG
+from small_scans import CUBE, EGG, undrawn
 
 import scan3d
 from scan3d.files.shapes import SURFACE_ENDINGS, export
 from scan3d.geometry.distance import distances
-from scan3d.pictures import canvas
 
 SINGLE = 1e-6  # of a body of 40 mm: float32 has 6e-8 of that
 
@@ -25,8 +24,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "can_render", lambda: False)
+    with undrawn():
         return scan3d.scan(CUBE, folder, slices=6, sweeps=4, samples=16, method="hull", friction=(0.1, 0.4))
 
 

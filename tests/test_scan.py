@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from sample_bodies import MESHES as FOLDER
 from scipy.spatial.transform import Rotation
-from small_scans import CUBE, EGG
+from small_scans import CUBE, EGG, RESULTS
 
 import planar
 import scan3d
@@ -185,9 +185,8 @@ def test_the_installed_command_gives_the_same_files_as_this_process_with_the_sam
     assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
     monkeypatch.setattr(canvas, "can_render", lambda: False)
     again = scan(tmp_path / "again", *ROUGH, "--seed", "5")
-    files = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
-    assert files == {path.name for path in again.iterdir()} == {path.name for path in folder.iterdir()} - pictures
-    for name in files:
+    assert RESULTS == {path.name for path in again.iterdir()} == {path.name for path in folder.iterdir()} - pictures
+    for name in RESULTS:
         first, second = ((place / name).read_bytes() for place in (folder, again))
         if name == "report.json":
             first, second = (without(text, "timings_s", "files", "sha256") for text in (first, second))

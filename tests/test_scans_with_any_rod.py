@@ -6,11 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from raw_tables import POSED, si_map
 
 import planar
 import scan3d
 from scan3d import Gravity, InputError, Rod
 from scan3d.geometry.distance import distances
+from scan3d.laboratory.maps import read_map
+from scan3d.reconstruction.contacts import readings
 from scan3d.rods import SLENDERNESS, parse_rod
 from scan3d.spatial import march
 
@@ -113,8 +116,6 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
     found = march.contacts(rod.in_space(), force.T, moment.T, down.T)
     known = found.s1 < 1
     assert known.sum() > 5
-    from scan3d.reconstruction.contacts import readings
-
     got = readings(whole).found
     np.testing.assert_allclose(got.point[known], found.point.T[known], atol=1e-9)
     # a sensor that was tared in the air shows what the contact adds
@@ -168,45 +169,21 @@ def test_scans_in_space_are_simulated_with_simple_rods_only():
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))))
 
 
-MAP = """
-[columns]
-sweep = "sweep"
-position = ["x", "y", "z"]
-orientation = {quaternion = ["qw", "qx", "qy", "qz"]}
-force = ["fx", "fy", "fz"]
-moment = ["mx", "my", "mz"]
-[units]
-length = "m"
-force = "N"
-moment = "N m"
-[tare]
-air = "%s"
-[rod]
-length_m = 0.06
-bending_stiffness_Nm2 = 1e-4
-weight_N = 1e-3
-[gravity]
-direction = [0, 0, -1]
-"""
-
-
 def test_maps_state_gravity(tmp_path):
-    from scan3d.laboratory.maps import read_map
+    def stated(air, **tared):
+        rod = Rod(0.06, 1e-4, weight_N=1e-3)
+        return si_map(rod, tare={"air": air}, gravity={"direction": [0, 0, -1], **tared})
 
-    path = tmp_path / "map.toml"
-    path.write_text(MAP % "none")
     with pytest.raises(InputError, match="tared is missing"):  # nothing is taken off: only the laboratory knows
-        read_map(path)
-    for air, tared, result in (("none", "false", False), ("none", "true", True), ("auto", "false", True)):
-        path.write_text(MAP % air + f"tared = {tared}\n")
-        assert read_map(path).gravity == Gravity((0.0, 0.0, -1.0), tared=result)
-    path.write_text(MAP % "auto")
-    assert read_map(path).gravity.tared
+        read_map(stated("none"))
+    for air, tared, result in (("none", False, False), ("none", True, True), ("auto", False, True)):
+        assert read_map(stated(air, tared=tared)).gravity == Gravity((0.0, 0.0, -1.0), tared=result)
+    assert read_map(stated("auto")).gravity.tared
     # and recordings have it
     rows = [f"0,{x},0,0,1,0,0,0,0,{-1e-3 if x else -2e-3},0,0,0,{1e-5 * x}" for x in (0.0, -1.0, -2.0)]
-    (tmp_path / "log.csv").write_text("sweep,x,y,z,qw,qx,qy,qz,fx,fy,fz,mx,my,mz\n" + "\n".join(rows) + "\n")
-    path.write_text(MAP % "none" + "tared = false\n")
-    assert scan3d.import_table(tmp_path / "log.csv", path).gravity == Gravity((0, 0, -1), tared=False)
+    (tmp_path / "log.csv").write_text("\n".join([f"{POSED},fx,fy,fz,mx,my,mz", *rows, ""]))
+    found = scan3d.import_table(tmp_path / "log.csv", stated("none", tared=False))
+    assert found.gravity == Gravity((0, 0, -1), tared=False)
 
 
 def test_a_heavy_rod_needs_the_direction_of_gravity():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scans import EGG, undrawn
+from small_scans import EGG
 
 import scan3d
 from scan3d import InputError, Rod, Session
@@ -113,22 +113,10 @@ def test_a_bounding_body_of_contacts(egg, batches):
         around_contacts(scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4)), "planar")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder of a reconstruction without pictures, with the recording of a rig beside it."""
-    place = tmp_path_factory.mktemp("next")
-    plan = ["plan", "--around", "cylinder:60x60", "--slices", "4", "--samples", "40", "--quiet"]
-    assert main([*plan, "--out", str(place / "poses.csv")]) == 0
-    run = ["simulate", str(EGG), "--poses", str(place / "poses.csv"), "--quiet", "--out", str(place / "log.csv")]
-    assert main(run) == 0
-    with undrawn():
-        assert main(["reconstruct", str(place / "log.csv"), "--out", str(place / "out"), *HULL]) == 0
-    return place
-
-
 @pytest.mark.slow
-def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys, no_pictures):
-    run = ["next", str(folder / "out"), "--out", str(tmp_path / "p.csv")]
+def test_next_gives_poses_until_the_tolerance_is_met(rig_folder, tmp_path, capsys, no_pictures):
+    assert main(["reconstruct", str(rig_folder / "log.csv"), "--out", str(tmp_path / "first"), *HULL]) == 0
+    run = ["next", str(tmp_path / "first"), "--out", str(tmp_path / "p.csv")]
     assert main([*run, "--json", "--samples", "40"]) == 0
     data = json.loads(capsys.readouterr().out)
     poses = read_poses(tmp_path / "p.csv")
@@ -140,7 +128,7 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys, n
     log = tmp_path / "log.csv"
     assert main(["simulate", str(EGG), "--poses", str(tmp_path / "p.csv"), "--out", str(log), "--quiet"]) == 0
     lines = log.read_text().splitlines(keepends=True)
-    log.write_text((folder / "log.csv").read_text() + "".join(lines[1:]))
+    log.write_text((rig_folder / "log.csv").read_text() + "".join(lines[1:]))
     assert main(["reconstruct", str(log), "--out", str(tmp_path / "out"), *HULL]) == 0
     again = ["next", str(tmp_path / "out"), "--out", str(tmp_path / "p2.csv")]
     assert main([*again, "--json"]) == 0

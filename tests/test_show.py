@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from image_checks import pixels
-from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
+from small_scans import CUBE, EGG, FEW, RESULTS, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures import canvas, parts
@@ -100,9 +100,7 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
     out = tmp_path / "out"
     done = run("scan", CUBE, "--out", out, *FEW)
     assert (done.returncode, done.stderr) == (0, f"scan3d: {canvas.NO_RENDERER}\n")
-    assert {path.name for path in out.iterdir()} == {
-        "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
-    }  # fmt: skip
+    assert {path.name for path in out.iterdir()} == set(scan3d.open(out).report["files"]) == RESULTS
     page = tmp_path / "page.html"
     done = run("show", folder, "--html", page, "--screenshot", tmp_path / "picture.png")
     assert (done.returncode, done.stderr) == (1, f"scan3d: {canvas.NO_RENDERER}\n")

@@ -12,6 +12,7 @@ import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
 from scan3d.spatial.normals import angles
+from tests.rigs import in_world, with_wrench
 
 FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
 
@@ -98,15 +99,11 @@ def test_noise_gives_the_errors_that_are_stated(noise):
 def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
     recording, _, _ = few
     turn, shift, scale = Rotation.from_rotvec([0.3, -1.1, 0.7]), np.array([0.1, 0.2, -0.3]), 3.0
-    moved = replace(
-        recording,
-        position_m=scale * turn.apply(recording.position_m) + shift,
-        quaternion=(turn * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True),
-        rod=scan3d.Rod(scale * LENGTH, scale**2 * 1e-4),
-        moment_Nm=scale * recording.moment_Nm,
-        moment_x_Nm=scale * recording.moment_x_Nm,
-        moment_y_Nm=scale * recording.moment_y_Nm,
+    force, moment = recording.wrench()
+    scaled = replace(
+        recording, position_m=scale * recording.position_m, rod=scan3d.Rod(scale * LENGTH, scale**2 * 1e-4)
     )
+    moved = in_world(with_wrench(scaled, force, scale * moment), turn, shift)
     cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(moved)
     np.testing.assert_allclose(other.points, scale * turn.apply(cloud.points) + 1000 * shift, atol=1e-7)
     both = np.isfinite(cloud.normals[:, 0]) & np.isfinite(other.normals[:, 0])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from sample_bodies import convex_hausdorff
 from shapes import unit
-from small_scans import EGG
 from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud
 
 import scan3d
@@ -126,17 +125,6 @@ def test_contacts_below_the_table_contradict_it(recording):
     assert found.diagnosis.fault == "table"
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory):
-    """Poses, and an exact log of the egg on the table."""
-    folder = tmp_path_factory.mktemp("table")
-    around = ["--around", "cylinder:60x60", "--slices", "4", "--samples", "40", "--quiet"]
-    assert main(["plan", *around, "--out", str(folder / "poses.csv")]) == 0
-    poses = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--quiet"]
-    assert main([*poses, "--out", str(folder / "log.csv")]) == 0
-    return folder, poses
-
-
 def reconstructed(log, out, capsys, *options):
     """The certificate of a report, and what the command prints."""
     assert main(["reconstruct", str(log), "--method", "hull", "--out", str(out), *options]) == 0
@@ -144,15 +132,14 @@ def reconstructed(log, out, capsys, *options):
 
 
 @pytest.mark.slow
-def test_the_commands_know_the_table(logs, tmp_path, capsys, no_pictures):
-    folder, _ = logs
-    known, text = reconstructed(folder / "log.csv", tmp_path / "out", capsys)
+def test_the_commands_know_the_table(rig_folder, tmp_path, capsys, no_pictures):
+    known, text = reconstructed(rig_folder / "log.csv", tmp_path / "out", capsys)
     assert known["table"] == 0.0
     assert 0 < known["bound"] < 30
     assert "and the table at z = 0 mm" in text
     # the same table, stated by the option
-    (tmp_path / "log.csv").write_text((folder / "log.csv").read_text())
-    (tmp_path / "log.toml").write_text((folder / "log.toml").read_text().replace("table_height_m = 0.0\n", ""))
+    (tmp_path / "log.csv").write_text((rig_folder / "log.csv").read_text())
+    (tmp_path / "log.toml").write_text((rig_folder / "log.toml").read_text().replace("table_height_m = 0.0\n", ""))
     unknown, text = reconstructed(tmp_path / "log.csv", tmp_path / "out", capsys)
     assert unknown["table"] is None
     assert unknown["bound"] is None

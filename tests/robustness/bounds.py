@@ -1,13 +1,13 @@
 """Random bodies, plans, noise and digits: does what a scan states of the body hold?
 
-    python -m tests.robustness.bounds [--count 1500] [--seed 0] [--noise 0 1e-4] [--model spatial]
+    python -m tests.robustness.bounds [--count 1500] [--seed 0] [--noise 0 1e-4] [--digits 5 '10 bit'] [--model spatial]
 
 Each draw is a right recording of a convex body.  Of its analysis is asked: the certified bound is at least the true
 Hausdorff distance, no vertex of the surface lies farther from the body than its local bound, the inner body lies inside the
-true one, the true body lies within the inner one's bound, the volume and the support function lie in the stated intervals,
-there are no warnings, no errors, and no contact that is not finite.  Every failure is printed with the seed that repeats it
-(`--seed SEED --count 1`), then the totals by noise.  Fails if anything fails on exact data, or more often than the stated
-confidence allows on noisy data.
+true one, which lies in the outer one and within the inner one's bound, extents, volume and support function lie in the stated
+intervals, there are no warnings, no errors, and no contact that is not finite.  Every failure is printed with the seed that
+repeats it (`--seed SEED --count 1`), then the totals by noise.  Fails if anything fails on exact data, or more often than the
+stated confidence allows on noisy data.
 
 Failures that are to be expected are counted apart.  Missed slices: a slice of the body that the recording has no contact in,
 because the rod does not reach it or the samples pass it by, counts as empty, and bounds the body where it goes on.  Coarse
@@ -20,7 +20,6 @@ that the inner body is asked for its bound only.
 
 from __future__ import annotations
 
-import argparse
 import collections
 import dataclasses
 import sys
@@ -41,9 +40,11 @@ from scan3d.geometry.sections import slice_frame, slice_polygons
 from scan3d.pipeline import analyse
 from scan3d.recording import _FINE as FINE
 from scan3d.recording import rounding_sd
+from scan3d.report import measurands
 from scan3d.rods import Rod
 from scan3d.simulation.scan import width_of
 from scan3d.units import UNITS_M
+from tests.robustness import options
 
 NOISE = (0.0, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2)
 KINDS = ("points", "plate", "needle", "box", "prism", "cone", "drop", "ellipsoid", "chamfered", "tetrahedron")
@@ -235,6 +236,10 @@ def false_statements(mesh, analysis):
         "bound": (analysis.comparison.hausdorff, analysis.certificate.bound),
         "local bound": (float(off[worst]), float(analysis.certificate.at_vertices[worst])),
     }
+    stated = measurands(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
+    for extent, known in zip(mesh.extents, stated[:3], strict=True):
+        low, high = known["interval"]
+        claims |= {f"least {known['quantity']}": (low, extent), f"largest {known['quantity']}": (extent, high)}
     return wrong(claims, mesh) + false_bounds(mesh, analysis.bounds, analysis.cloud.model == "spatial")
 
 
@@ -255,6 +260,8 @@ def false_bounds(mesh, bounds, spatial=False):
     # contacts that prove nothing claim nothing
     if not spatial and not bounds.bound == bounds.margin == np.inf:
         claims["inner body"] = float(nearest(np.asarray(bounds.inner.vertices), mesh)[0].max()), bounds.excess
+    if len(planes := bounds.outer_planes()):
+        claims["outer body"] = float((vertices @ planes[:, :3].T - planes[:, 3]).max()), 0.0
     found = wrong(claims, mesh)
     low, high = bounds.support(DIRECTIONS)
     reach = (vertices @ DIRECTIONS.T).max(axis=0)
@@ -288,18 +295,12 @@ def _missed(mesh, analysis):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=1500)
-    parser.add_argument("--seed", type=int, default=0, help="of the first draw")
-    parser.add_argument("--digits", nargs="+", default=[], help="limited digits of every draw, such as 5, '10 bit'")
-    parser.add_argument("--noise", type=float, nargs="+", default=NOISE, help="those that are drawn from")
-    parser.add_argument("--model", choices=["planar", "spatial"], default="planar")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, count=1500, seed=0, digits=[""], noise=NOISE, model="planar")
     totals, failed, names = collections.Counter(), collections.Counter(), collections.Counter()
     start = time.monotonic()
     for seed in range(arguments.seed, arguments.seed + arguments.count):
         draw = drawn(seed, arguments.noise, model=arguments.model)
-        if arguments.digits:
+        if any(arguments.digits):
             draw = dataclasses.replace(draw, digits=arguments.digits[seed % len(arguments.digits)])
         found = failures(draw)
         if found is None:

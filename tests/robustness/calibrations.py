@@ -10,7 +10,6 @@ deviations, and how many of the 95 % intervals hold.  Fails if these are not 90 
 With `--pink` that fraction of the noise's variance has the spectrum 1/f.
 """
 
-import argparse
 import dataclasses
 import sys
 import time
@@ -19,19 +18,12 @@ import numpy as np
 
 import scan3d
 from tests import references, rigs
+from tests.robustness import options
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reference", default="sphere", choices=("sphere", "plane"), help="what is touched")
-    parser.add_argument("--count", type=int, default=200, help="seeds (default 200)")
-    parser.add_argument("--samples", type=int, default=120, help="rows in a sweep (default 120)")
-    parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument(
-        "--pink", type=float, default=0.0, help="fraction of the noise's variance that is 1/f (default 0)"
-    )
-    parser.add_argument("--mixing", type=float, default=0.0, help="of the sensor's channels, such as 0.01 (default 0)")
-    arguments = parser.parse_args()
+    counted = dict(count=200, samples=120, first=0, pink=0.0, mixing=0.0)
+    arguments = options(__doc__, reference="sphere", **counted)
     truth, deviations, errors, warned = rigs.Truth(mixing=arguments.mixing), [], [], 0
     touched, motion, reference = references.of(arguments.reference, truth)
     start = time.process_time()

@@ -1,12 +1,8 @@
-"""Odd meshes, recordings, settings, reports and clouds, made by this script, each with what a command should answer to it.
-
-`python -m tests.robustness.corpus FOLDER` writes the files and prints the commands, to try them by hand.
-"""
+"""Odd meshes, recordings, settings, reports and clouds, each with what a command should answer to it."""
 
 import json
 import os
 import struct
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -277,8 +273,3 @@ def _configs(folder):
     cases.append(Case("config right", (*argv, "--slices=-3"), 2, "slices must be"))
     cases.append(Case("config is a device", (*argv[:-1], "/dev/zero"), 1, "device or a pipe"))
     return cases
-
-
-if __name__ == "__main__":
-    for case in make(sys.argv[1]):
-        sys.stdout.write(f"{case.code:2} {case.name}: scan3d {' '.join(case.argv)}\n")

@@ -10,10 +10,8 @@ rig is calibrated: the errors of the rig are drawn from one covariance.  Fails i
 than 5 % of the seeds of a body.
 """
 
-import argparse
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,8 +21,8 @@ from scan3d.reconstruction.errors import with_rig_errors
 from scan3d.surfaces import enclosure
 from tests import rigs
 from tests.rig_errors import calibrated, displaced, logged, typical
-
-MESHES = Path(__file__).parents[2] / "meshes"
+from tests.robustness import options
+from tests.sample_bodies import MESHES
 
 
 def touched(mesh, slices):
@@ -66,14 +64,7 @@ def measure(name, given):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bodies", nargs="+", default=("egg.stl", "cube.stl"), help="files of meshes")
-    parser.add_argument("--count", type=int, default=40, help="seeds of each body (default 40)")
-    parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--touches", type=int, default=12, help="sweeps of the calibration (default 12)")
-    parser.add_argument("--slices", type=int, default=24, help="slices of the body (default 24)")
-    parser.add_argument("--quick", action="store_true", help="draw the errors of the rig from one covariance")
-    given = parser.parse_args()
+    given = options(__doc__, bodies=["egg.stl", "cube.stl"], count=40, first=0, touches=12, slices=24, quick=False)
     failed = [measure(name, given) for name in given.bodies]
     return int(max(failed) > 0.05 * given.count)
 
