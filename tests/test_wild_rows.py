@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from spatial_scans import recorded
 
+import planar
 import scan3d
 from scan3d.bounds import enclosure, premises
 from scan3d.geometry.distance import nearest
@@ -204,3 +205,17 @@ def test_spikes_in_the_air_do_not_move_the_zero_nor_raise_the_noise():
     spiked = tare(wrench, clock, [(0, 400)])
     assert np.abs(spiked.zero - clean.zero).max() < 0.05
     assert np.abs(spiked.noise / clean.noise - 1).max() < 0.1
+
+
+def test_contacts_scatter_about_tangents_as_is_stated():
+    """The errors of a tangent's place and angle are one: taken for independent, distances scattered by 1.2 times as much."""
+    clouds = [scan3d.reconstruct(disturbed(exact("ellipsoid", friction=0.3), noise, seed=1)) for noise in (1e-3, 0.0)]
+    same = np.intersect1d(*[cloud.row[cloud.phase == planar.Phase.TANGENTIAL] for cloud in clouds])
+    noisy, true = (cloud.select(np.isin(cloud.row, same)) for cloud in clouds)
+    scatter = []
+    for found, right in zip(*map(agreement.compared_in_slices, (noisy, true)), strict=True):
+        sd = np.sqrt(found.variance(found.errors(1.0, noisy.covariance, noisy.normal_sd)))
+        tangents = right.normals[:, ::-1] * [-1, 1]
+        along = tangents @ right.points[right.some].T - (tangents * right.points[right.lines]).sum(axis=1)[:, None]
+        scatter.append(((found.misfit.found - right.misfit.found) / sd)[along > 4])
+    assert np.sqrt(np.mean(np.concatenate(scatter) ** 2)) < 1.1

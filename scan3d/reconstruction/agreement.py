@@ -224,7 +224,7 @@ class Compared(NamedTuple):
         inside = np.einsum("ij,njk,lk->nil", self.frame, covariance[self.rows], self.frame)
         return Errors(sigmas, inside, turn_sd[self.rows])
 
-    def deviations(self, error: Errors) -> tuple[Array, Array, Array]:
+    def deviations(self, error: Errors) -> tuple[Array, Array]:
         return deviations(self.points, self.lines, self.normals, self.some, error)
 
     def variance(self, error: Errors) -> Array:
@@ -585,12 +585,10 @@ def _means(compared: Compared, cloud: Cloud) -> _Means:
     # errors by digits alone are not independent
     explained = compared.systematic if cloud.independent else compared.misfit.explained
     beyond = (compared.misfit.found - explained)[line, contact]
-    own = of_line = turned = np.zeros(len(line))
+    own = of_line = np.zeros(len(line))
     if cloud.covariance is not None and cloud.normal_sd is not None:
         error = compared.errors(1.0, cloud.covariance, cloud.normal_sd)
-        own, of_line, turned = (
-            np.broadcast_to(part, compared.misfit.found.shape)[line, contact] for part in compared.deviations(error)
-        )
+        own, of_line = (part[line, contact] for part in compared.deviations(error))
     rounding = (ROUNDING * cloud.rod_length) ** 2
     sweeps = np.stack([sweep[compared.some[contact]], sweep[compared.lines[line]]])
     begins = (np.diff(sweeps, axis=1, prepend=-1) != 0).any(axis=0)
@@ -598,11 +596,11 @@ def _means(compared: Compared, cloud: Cloud) -> _Means:
     within = np.arange(len(line)) - np.flatnonzero(begins)[stretch]
     # means of four successive contacts
     mean = np.cumsum(within % 4 == 0) - 1
-    weight = 1 / (own**2 + of_line**2 + turned**2 + rounding)
+    weight = 1 / (own**2 + of_line**2 + rounding)
     weight /= np.bincount(mean, weight)[mean]
     # contacts that have a line in common have the same error of that line
     both, pair = np.unique(np.stack([mean, line]), axis=1, return_inverse=True)
-    shared = sum(np.bincount(pair.reshape(-1), weight * part) ** 2 for part in (of_line, turned))
+    shared = np.bincount(pair.reshape(-1), weight * of_line) ** 2
     variance = np.bincount(mean, weight**2 * own**2) + np.bincount(both[0], shared) + rounding
     value = np.bincount(mean, weight * beyond)
     return _Means(line, contact, mean, weight, np.asarray(value, dtype=float), np.asarray(variance, dtype=float))
@@ -711,18 +709,17 @@ def _beyond_neighbours(compared: Compared, cloud: Cloud, value: Index, short: Ma
     assert cloud.normal_sd is not None
     lines, some = compared.lines, compared.some
     beyond, pairs = compared.misfit.found - compared.systematic, compared.misfit.found > compared.misfit.explained
-    others, own, turned = (
-        part**2 for part in compared.deviations(compared.errors(1.0, cloud.covariance, cloud.normal_sd))
-    )
-    of_line, trusted, refuted = own + turned, np.ones(len(value), dtype=bool), np.zeros(len(value), dtype=bool)
+    errors = compared.errors(1.0, cloud.covariance, cloud.normal_sd)
+    of_points, of_lines = (part**2 for part in compared.deviations(errors))
+    trusted, refuted = np.ones(len(value), dtype=bool), np.zeros(len(value), dtype=bool)
     # each pass is without the rows that the ones before it have left out
     for _ in range(10):
         known = trusted[lines], trusted[some]
-        of_lines, of_points = _groups(compared.points[lines], known[0]), _groups(compared.points[some], known[1])
+        groups, others = _groups(compared.points[lines], known[0]), _groups(compared.points[some], known[1])
         # where nothing is left to judge by, what is not trusted stays so
-        found = np.where(trusted | bool(len(of_lines) or len(of_points)), -np.inf, np.inf)
-        by_lines, wrong_lines = _over_groups(beyond, others, of_line, of_lines, limit)
-        by_points, wrong_points = _over_groups(beyond.T, of_line.T, others.T, of_points, limit)
+        found = np.where(trusted | bool(len(groups) or len(others)), -np.inf, np.inf)
+        by_lines, wrong_lines = _over_groups(beyond, of_points, of_lines, groups, limit)
+        by_points, wrong_points = _over_groups(beyond.T, of_lines.T, of_points.T, others, limit)
         found[some] = np.maximum(found[some], by_lines)
         found[lines] = np.maximum(found[lines], by_points)
         rows, columns = _contradicted(pairs & known[0][:, None] & known[1])

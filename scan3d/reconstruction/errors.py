@@ -327,22 +327,24 @@ def beyond_tangents(
     if error is not None:
         reach = error.sigmas * np.sqrt(np.trace(error.covariance, axis1=1, axis2=2))
         pairs = reach[lines][:, None] + reach[some]
-        others, own, turned = deviations(points, lines, normals, some, error)
+        of_points, of_lines = deviations(points, lines, normals, some, error)
         # the last summands are of the second order
-        explained += error.sigmas * (others + own + turned + error.turn_sd[lines][:, None] * pairs) + pairs**2 / length
+        explained += error.sigmas * (of_points + of_lines + error.turn_sd[lines][:, None] * pairs) + pairs**2 / length
     return Misfit(beyond, explained)
 
 
-def deviations(points: Array, lines: Index, normals: Array, some: Index, error: Errors) -> tuple[Array, Array, Array]:
-    """Standard deviations of the distances of `beyond_tangents`: by the places of the contacts (k, m), by those of the lines
-    (k, 1), and by the lines' angles (k, m)."""
+def deviations(points: Array, lines: Index, normals: Array, some: Index, error: Errors) -> tuple[Array, Array]:
+    """Standard deviations (k, m) of the distances of `beyond_tangents`: by the contacts, and by the lines at most.
+
+    A line's place and angle follow from the same bending: their errors are nearly the same one.
+    """
     tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
     along = tangents @ points[some].T - (tangents * points[lines]).sum(axis=1)[:, None]
     quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
     entries = np.stack([error.covariance[:, 0, 0], error.covariance[:, 0, 1], error.covariance[:, 1, 1]], axis=1)
-    others = np.sqrt(np.maximum(quadratic @ entries[some].T, 0.0))
-    own = np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
-    return others, own, error.turn_sd[lines][:, None] * np.abs(along)
+    of_points = np.sqrt(np.maximum(quadratic @ entries[some].T, 0.0))
+    place = np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))
+    return of_points, place[:, None] + error.turn_sd[lines][:, None] * np.abs(along)
 
 
 def against_single_force(
