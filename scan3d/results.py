@@ -8,7 +8,6 @@ open3d are imported only by the functions that need them.
 from __future__ import annotations
 
 import dataclasses
-import io
 import os
 import warnings
 from collections.abc import Callable, Mapping
@@ -20,8 +19,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, Unpack
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
-from trimesh.exchange.load import mesh_loaders
 
 import planar
 from planar.plots import to_frame, words
@@ -49,7 +46,6 @@ from scan3d.files.shapes import (
     write_shape,
 )
 from scan3d.files.tables import PARQUET
-from scan3d.files.text import check_readable
 from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, check_pair, locate, replacing, sha256
 from scan3d.geometry.distance import distances
 from scan3d.pictures import notebook
@@ -594,14 +590,16 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     try:
         rows, faces, comments = read_ply(path)
     except InputError:
-        rows, faces, comments = _of_other_program(path)
+        return None  # the reader of meshes says what is wrong
+    stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
+    if not stated:  # of another program
         if faces is not None:
             return None
+        rows = rows[[name for name in POINT + NORMAL if name in (rows.dtype.names or ())]]
     if not {*POINT} <= {*(rows.dtype.names or ())}:
         raise InputError(f"{path.name} has no points: expected the columns x, y and z")
     if not len(rows) or not np.isfinite(columns(rows, *POINT)).all():
         raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
-    stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
     unit = stated[0] if stated and stated[0] in UNITS_M else unit
     if faces is None:
         return Scene(path.stem, unit, contacts=rows)
@@ -613,20 +611,6 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     if "known" in (rows.dtype.names or ()):
         mesh.vertex_attributes["known"] = rows["known"]
     return Scene(path.stem, unit, surface=mesh, bound=bound if is_known else None)
-
-
-def _of_other_program(path: Path) -> tuple[NDArray[Any], Any, tuple[str, ...]]:
-    """As `read_ply`, of any PLY: its points, with normals if they are there, and its faces, None if there are none."""
-    try:
-        check_readable(path)
-        raw = mesh_loaders["ply"](io.BytesIO(path.read_bytes()), skip_materials=True)
-        data = raw["metadata"]["_ply_raw"]["vertex"]["data"]
-        known = [name for name in POINT + NORMAL if name in (data if isinstance(data, dict) else data.dtype.names)]
-        rows = table({name: np.asarray(data[name], dtype=float).ravel() for name in known})
-    # trimesh's parser raises various errors for foreign bytes; the reader of meshes says what is wrong with those
-    except Exception:
-        return np.empty(0), (), ()
-    return rows, raw["faces"] if len(raw.get("faces", ())) else None, ()
 
 
 def other_surface(given: Any, unit: str, file_unit: str = "mm") -> trimesh.Trimesh:

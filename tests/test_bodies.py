@@ -248,7 +248,9 @@ def test_relative_indices_of_obj_count_from_the_vertices_read_so_far(tmp_path, r
     path.write_text("".join(parts))
     assert load_mesh(path).extents == pytest.approx([3, 2, 1])
     path.write_text(relative_obj(halves[0], reference) + "f -1 -2 -9\n")
-    assert "relative index -9, and only 8 entries of that kind come before it" in error(path)
+    assert "the index -9, and 8 vertices can be counted" in error(path)
+    path.write_text(relative_obj(halves[0], reference) + "f 0 1 2\n")
+    assert "the index 0, and 8 vertices can be counted, from 1 or, back, from -1" in error(path)
 
 
 @pytest.mark.parametrize(
@@ -259,6 +261,7 @@ def test_relative_indices_of_obj_count_from_the_vertices_read_so_far(tmp_path, r
         ("solid cube", "end solid cube"),
         ("SOLID a solid Vertex", "ENDSOLID a solid Vertex"),
         ("\ufeffsolid M\u00fcller", " EndSolid M\u00fcller\r"),
+        ("solid two\nlines", "endsolid two\nlines\n\0\0\x1a"),
     ],
 )
 def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
@@ -266,6 +269,8 @@ def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
     facets = facets.upper() if begin.startswith("SOLID") else facets
     path = tmp_path / "named.stl"
     path.write_text(f"{begin}\n{facets}\n{end}\n", encoding="utf-8", newline="")
+    assert load_mesh(path).volume == pytest.approx(6)
+    path.write_text(" ".join([*begin.split(), *facets.split(), *end.split()]), encoding="utf-8")
     assert load_mesh(path).volume == pytest.approx(6)
     path.write_text(f"{begin}\n{facets[: len(facets) // 2]}", encoding="utf-8", newline="")
     assert "cut off" in error(path)
@@ -298,6 +303,49 @@ def test_text_as_other_programs_write_it(tmp_path, kind, capsys):
     assert capsys.readouterr().err == ""
 
 
+CORNERS = [(x, y, z) for z in (0, 7) for x, y in ((20, 0), (20, 5), (5, 5), (5, 20), (0, 20), (0, 0))]
+SIDES = [[5, 4, 3, 2, 1, 0], [*range(6, 12)], *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))]
+
+
+def letter_of_polygons(kind):
+    """A letter of the area 910 and the volume 1225, whose ends are polygons that are not convex."""
+    points, sides = ([" ".join(map(str, row)) for row in rows] for rows in (CORNERS, SIDES))
+    sides = [f"{len(side.split())} {side}" for side in sides]
+    if kind == "obj":  # with colours, and lines and points among the faces
+        faces = (" ".join(["  f", *(f"{k - 12}//" for k in side), "\\ \n"]) for side in SIDES)
+        return text(*(f"  v {point} 1 0 0" for point in points), "l 1 2", "p -1", *faces, "")
+    if kind == "off":
+        return text("12 8 # a file without the word", "", *points, *(f"{side} 255 0 0" for side in sides))
+    vertex = ["element vertex 12", *(f"property double {name}" for name in "xyz"), "property list uchar short spare"]
+    face = ["element face 8", "property uint8 flags", "property list int32 ushort vertex_index", "end_header", ""]
+    head = text("ply", f"format {kind} 1.0", "comment of another program", *vertex, *face)
+    if kind == "ascii":
+        return head + text(*(f"{point} 1 9" for point in points), "", *(f"7 {side}" for side in sides))
+    order = "<" if "little" in kind else ">"
+    rows = [struct.pack(order + "3dBh", *corner, 1, 9) for corner in CORNERS]
+    return b"".join(
+        [head, *rows, *(struct.pack(f"{order}Bi{len(side)}H", 7, len(side), *side) for side in SIDES), b"\n"]
+    )
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ascii", "binary_little_endian", "binary_big_endian"])
+def test_polygons_of_other_programs(tmp_path, kind):
+    path = tmp_path / f"letter.{kind if kind in FORMATS else 'ply'}"
+    path.write_bytes(letter_of_polygons(kind))
+    body = load_mesh(path)
+    assert (body.volume, body.area) == (pytest.approx(1225), pytest.approx(910))
+
+
+def test_strips_of_ply(tmp_path):
+    names = [f"property float {axis}" for axis in "xyz"]
+    strips = ["element tristrips 2", "property list int int vertex_indices"]
+    corners = ["0 0 0", "1 0 0", "0 1 0", "0 0 1", "4 0 1 2 3", "7 2 3 0 -1 0 3 1"]
+    head = ["ply", "format ascii 1.0", "element vertex 4", *names, *strips, "end_header"]
+    (tmp_path / "strips.ply").write_bytes(text(*head, *corners, ""))
+    body = read_mesh(tmp_path / "strips.ply")
+    assert (body.is_winding_consistent, abs(body.volume)) == (True, pytest.approx(1 / 6))
+
+
 def text(*rows):
     return "\n".join(rows).encode()
 
@@ -308,24 +356,12 @@ def broken_ascii_stl():
     return "vertex ".join([*words[:10], "one " + words[10], *words[11:]]).encode()
 
 
-def ply_of_strips():
-    names = [f"property float {axis}" for axis in "xyz"]
-    strip = ["element tristrips 1", "property list int int vertex_indices"]
-    corners = ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]
-    return text(
-        "ply", "format ascii 1.0", "element vertex 4", *names, *strip, "end_header", *corners, "6 0 1 2 3 0 1", ""
-    )
-
-
 BAD_FILES = {
     "notes.txt": (b"1 2 3", "isn't a mesh file by its ending"),
     "ending": (b"1 2 3", "isn't a mesh file by its ending"),
     "number.stl": (broken_ascii_stl(), "can't be read as STL"),
     "points.ply": (trimesh.PointCloud(np.eye(4, 3)).export(file_type="ply"), "no triangles"),
-    "strips.ply": (
-        ply_of_strips(),
-        "it has points or strips only",
-    ),
+    "count.stl": (bytes(80) + b"\x0d\0\0\0" + bytes(600), "counts 13 triangles, and 12 fit into it"),
     "same.off": (text("OFF", "4 2 0", "0 0 0", "1 0 0", "0 1 0", "1 0 0", "3 0 1 2", "3 0 3 2"), "only 3 distinct"),
     **{f"words.{kind}": (b"Dear reader,\nthis solid prose has no vertex.\n", f"{kind.upper()}") for kind in FORMATS},
     **{f"picture.{kind}": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9, f"{kind.upper()}") for kind in FORMATS},

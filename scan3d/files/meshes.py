@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.comparison import deepest_dent
 from scan3d.errors import InputError
-from scan3d.files.shapes import read_glb
+from scan3d.files.shapes import Shape, parse_ply, read_glb, triangulated
 from scan3d.files.text import check_readable
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
@@ -33,10 +33,11 @@ OPEN_TOLERANCE = 1e-3
 _UNIT = re.compile(rb"(?m)(?:scan3d surface\W+|^comment )unit (%s)\b" % "|".join(UNITS_M).encode())
 _HEAD = 1 << 12
 _STL_START, _STL_ROW = 84, 50
-_TEXTS = ("obj", "off", "stl", "ply")
-_VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+([^\n]*)", re.MULTILINE | re.IGNORECASE)
-_END = re.compile(rb"^[ \t]*end[ \t]*solid\b[^\n]*\s*\Z", re.MULTILINE | re.IGNORECASE)
-_RELATIVE = re.compile(rb"^[ \t]*f\b[^#\n]*[ \t/]-\d", re.MULTILINE)
+# Of STL in text a facet's corners, and what ends a facet and a solid; of OBJ the lines of vertices and faces.
+_CORNERS = re.compile(rb"\bouter\s+loop" + 3 * rb"\s+vertex\s+(\S+\s+\S+\s+\S+)" + rb"\s+end\s*loop\b", re.IGNORECASE)
+_END_FACET = re.compile(rb"\bend\s*facet\b", re.IGNORECASE)
+_END = re.compile(rb"\bend\s*solid\b", re.IGNORECASE)
+_POINT, _FACE = (re.compile(rb"^[ \t]*%c[ \t]+([^\n]*)" % letter, re.MULTILINE) for letter in b"vf")
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "mm") -> trimesh.Trimesh:
@@ -289,149 +290,117 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
     kind, scale = path.suffix[1:].lower(), _scale(path, data, unit)
     try:
         with warnings.catch_warnings():
-            # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
-            # body.
-            warnings.filterwarnings("error", message="string or file could not be read")
             warnings.filterwarnings("ignore", category=RuntimeWarning)  # of numbers that are not finite, judged below
-            meshes = _parse(kind, data, scale)
+            if kind == "glb":
+                vertices, faces = read_glb(data, scale)
+            else:
+                vertices, faces = {"stl": _stl, "ply": _ply, "obj": _obj, "off": _off}[kind](data)
+                vertices = scale * vertices
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
-    # trimesh's parsers raise various errors for foreign bytes: KeyError, IndexError, struct.error, MemoryError and others.
-    except Exception as error:
+    except Exception as error:  # of various types for foreign bytes
         raise InputError(
             f"{path.name} can't be read as {kind.upper()}: it is cut off, damaged or another kind of file; export or download "
             "it again"
         ) from error
-    if any(len(vertices) and vertices.shape[1] != 3 for vertices, _ in meshes):
-        raise InputError(f"{path.name} has vertices without three coordinates; export the mesh again")
-    if not all((np.abs(vertices) < LARGEST).all() for vertices, _ in meshes):
+    if not (np.abs(vertices) < LARGEST).all():
         raise InputError(
             f"{path.name} has vertices that are NaN, infinite or beyond {LARGEST:g}; repair or export it again"
         )
-    held, declared = sum(len(faces) for _, faces in meshes), _declared_faces(kind, data)
-    if held < declared:
+    if not len(faces):
         raise InputError(
-            f"{path.name} is cut off: it declares {declared} faces and holds {held}; export or download it again"
+            f"{path.name} has no triangles, where a surface is expected: it has points only, is cut off, damaged, or no "
+            f"{kind.upper()} file; export the body as a triangle mesh"
         )
-    if held == 0:
-        raise InputError(
-            f"{path.name} has no triangles, where a surface is expected: it has points or strips only, is cut off, damaged, or "
-            f"not a {kind.upper()} file; export the body as a triangle mesh"
-        )
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    faces = np.concatenate([faces + before for before, (_, faces) in zip(first, meshes, strict=False)])
-    return np.concatenate([vertices for vertices, _ in meshes]), faces
+    return vertices, faces
 
 
-def _declared_faces(kind: str, data: bytes) -> int:
-    """Faces in the header of a PLY or OFF: of one in text that is cut off, trimesh would return a part of the body."""
-    patterns = {"ply": rb"(?m)^element face (\d{1,18})\b", "off": rb"\s*\w*OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d{1,18})\b"}
-    found = re.search(patterns[kind], data[: 1 << 16]) if kind in patterns else None
-    return int(found[1]) if found else 0
-
-
-def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
-    """Vertices (v, 3) in the world, multiplied by a scale, and faces (f, 3) of each mesh in a file.
-
-    trimesh's loaders are called directly, because trimesh.load drops vertices that aren't finite without a warning.
-    """
-    if kind == "glb":
-        meshes = read_glb(data, scale)
-    elif kind == "stl" and not _is_binary_stl(data):
-        corners = _text_stl(_plain(kind, data))
-        meshes = [(scale * corners, np.arange(len(corners)).reshape(-1, 3))]
-    else:
-        raw = mesh_loaders[kind](io.BytesIO(_plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
-        parts = [part for part in raw.get("geometry", {"mesh": raw}).values() if part.get("faces") is not None]
-        bodies = [trimesh.Trimesh(part["vertices"], part["faces"], process=False) for part in parts]  # of triangles
-        meshes = [(scale * np.asarray(body.vertices), np.asarray(body.faces)) for body in bodies]
-    for vertices, faces in meshes:
-        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise IndexError("a face has a vertex that does not exist")
-    return meshes
-
-
-# --- meshes as other programs write them, and trimesh does not expect them ---
-
-
-def _plain(kind: str, data: bytes) -> bytes:
-    """The bytes of a mesh file without what trimesh does not expect.
-
-    Of text these are a byte order mark, line ends of old computers, decimal commas and, in OBJ, tabs, comments after the
-    numbers and relative indices; of binary STL what comes after the triangles.  Raises InputError for a relative index before
-    the first vertex, and for a binary STL with more triangles than its header counts.
-    """
-    if kind == "stl" and _is_binary_stl(data):
-        return _counted_triangles(data)
-    if kind not in _TEXTS or (kind == "ply" and b"\nformat ascii" not in data[:1000].replace(b"\r", b"\n")):
-        return data
+def _text(data: bytes) -> bytes:
+    """The text of a file without a byte order mark, line ends of old computers and decimal commas."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         data = data.decode("utf-16", errors="replace").encode()
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if b"," in data:
-        data = re.sub(rb"(?<=\d),(?=\d)", b".", data)
-    if kind != "obj":
-        return data
-    data = re.sub(rb"[ \t]*#[^\n]*", b"", data) if b"#" in data else data
-    data = data.replace(b"\t", b" ").replace(b"\\\n", b" ")
-    return _counted_from_the_start(data) if _RELATIVE.search(data) else data
+    return re.sub(rb"(?<=\d),(?=\d)", b".", data) if b"," in data else data
 
 
-def _is_binary_stl(data: bytes) -> bool:
-    """Whether a file has room for the triangles that the header of a binary STL counts; letters would count 100 million."""
-    return len(data) >= _STL_START and 0 < _STL_ROW * _stl_count(data) <= len(data) - _STL_START
+def _words(lines: Sequence[bytes]) -> tuple[NDArray[np.bytes_], Index]:
+    """The words of lines (n,), and the number (n,) of the first one of each line; that of all words comes last."""
+    numbers = np.cumsum([0, *(len(line.split()) for line in lines)])
+    return np.array(b" ".join(lines).split(), dtype=bytes), numbers
 
 
-def _stl_count(data: bytes) -> int:
-    return int.from_bytes(data[_STL_START - 4 : _STL_START], "little")
+def _points(lines: Sequence[bytes]) -> Array:
+    """The first three numbers (n, 3) of lines (n,), which may have more: a weight, or a colour."""
+    words, start = _words(lines)
+    if (np.diff(start) < 3).any():
+        raise InputError("it has vertices without three coordinates; export the mesh again")
+    return words[start[:-1, None] + np.arange(3)].astype(float)
 
 
-def _counted_triangles(data: bytes) -> bytes:
-    """A binary STL without what comes after its triangles."""
-    end = _STL_START + _STL_ROW * _stl_count(data)
-    if len(rest := data[end:]) >= _STL_ROW and rest.strip(b"\0\t\n\r "):
+def _stl(data: bytes) -> tuple[Array, Index]:
+    """Corners (n, 3) of the triangles of an STL, and their numbers; in text the solids may have any name."""
+    count, room = int.from_bytes(data[80:84], "little"), (len(data) - _STL_START) // _STL_ROW
+    if 0 < count <= room:  # letters would count 100 million
+        rest = data[_STL_START + _STL_ROW * count :]
+        if len(rest) >= _STL_ROW and rest.strip(b"\0\t\n\r "):
+            raise InputError(
+                f"its header counts {count} triangles, and {room - count} more may follow; export it again"
+            )
+        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        points = np.frombuffer(data, row, count, _STL_START)["corners"].reshape(-1, 3).astype(float)
+    else:
+        data = _text(data)
+        facets = [*_CORNERS.finditer(data)]
+        if not facets and b"\0" in data:
+            raise InputError(
+                f"its header counts {count} triangles, and {max(room, 0)} fit into it: it is cut off, damaged or no STL; "
+                "export or download it again"
+            )
+        if len(facets) != len(_END_FACET.findall(data)) or (facets and not _END.search(data, facets[-1].end())):
+            raise ValueError("cut off")
+        points = _points([corner for facet in facets for corner in facet.groups()])
+    return points, np.arange(len(points)).reshape(-1, 3)
+
+
+def _ply(data: bytes) -> tuple[Array, Index]:
+    rows, faces, _ = parse_ply(data)
+    return Shape(rows, faces, "mm").points, np.empty((0, 3), dtype=int) if faces is None else faces
+
+
+def _obj(data: bytes) -> tuple[Array, Index]:
+    """Vertices (v, 3) and triangles (f, 3) of an OBJ, whose faces may count back from the last vertex that precedes them."""
+    data = re.sub(rb"\\[ \t]*\n", b" ", re.sub(rb"#[^\n]*", b"", _text(data)))
+    points = _points(_POINT.findall(data))
+    words, start = _words(re.sub(rb"/\S*", b"", b"\n".join(_FACE.findall(data))).split(b"\n"))
+    corners, lengths = words.astype(int), np.diff(start)
+    before = np.full(len(corners), len(points))
+    if (corners < 0).any():
+        above = [found.start() for found in _POINT.finditer(data)]
+        before = np.repeat(np.searchsorted(above, [found.start() for found in _FACE.finditer(data)]), lengths)
+    wrong = (corners == 0) | (corners > len(points)) | (corners < -before)
+    if wrong.any():
+        k = int(np.argmax(wrong))
         raise InputError(
-            f"its header counts {_stl_count(data)} triangles, and {len(rest) // _STL_ROW} more may follow; export it again"
+            f"a face has the index {corners[k]}, and {before[k]} vertices can be counted, from 1 or, back, from -1; export the "
+            "mesh again"
         )
-    return data[:end]
+    corners = np.where(corners > 0, corners - 1, before + corners)
+    return points, triangulated(points, corners, lengths)
 
 
-def _text_stl(data: bytes) -> Array:
-    """Corners (n, 3) of the triangles of an STL in text, whatever its solids are called.  Raises ValueError for other text."""
-    lines = _VERTEX.findall(data)
-    corners = np.fromstring(b" ".join(lines).decode("latin-1"), sep=" ")
-    if len(corners) != 3 * len(lines) or len(lines) % 3 or (lines and not _END.search(data)):
+def _off(data: bytes) -> tuple[Array, Index]:
+    """Vertices (v, 3) and triangles (f, 3) of an OFF in text; colours and normals are left out."""
+    lines = [line for line in re.sub(rb"#[^\n]*", b"", _text(data)).split(b"\n") if line.strip()]
+    head = b" ".join(lines[:2]).split()
+    named = head[0].upper().endswith(b"OFF")  # a word that may be missing
+    first = 2 if named and len(lines[0].split()) == 1 else 1
+    count, declared = map(int, head[named : named + 2])
+    words, start = _words(lines[first + count : first + count + declared])
+    if len(start) <= declared:
+        raise InputError(f"it is cut off: it declares {declared} faces and holds {len(start) - 1}; export it again")
+    lengths = words[start[:-1]].astype(int)
+    if (np.diff(start) <= lengths).any():
         raise ValueError("cut off")
-    return corners.reshape(-1, 3)
-
-
-def _counted_from_the_start(data: bytes) -> bytes:
-    """An OBJ whose faces count vertices, texture coordinates and normals from the first one of the file.
-
-    A negative index counts back from the last one that precedes the face.
-    """
-    seen = {b"v": 0, b"vt": 0, b"vn": 0}
-
-    def absolute(reference: bytes) -> bytes:
-        numbers = []
-        for what, number in zip(seen, reference.split(b"/"), strict=False):
-            if number.startswith(b"-"):
-                index = seen[what] + 1 + int(number)
-                if index < 1:
-                    raise InputError(
-                        f"a face has the relative index {int(number)}, and only {seen[what]} entries of that kind come "
-                        "before it; export the mesh again"
-                    )
-                number = b"%d" % index
-            numbers.append(number)
-        return b"/".join(numbers)
-
-    lines = []
-    for line in data.splitlines():
-        words = line.split()
-        if words and words[0] in seen:
-            seen[words[0]] += 1
-        elif words and words[0] == b"f":
-            line = b" ".join([b"f", *map(absolute, words[1:])])
-        lines.append(line)
-    return b"\n".join(lines)
+    places = np.repeat(start[:-1] + 1 - np.cumsum(lengths) + lengths, lengths) + np.arange(lengths.sum())
+    points = _points(lines[first : first + count])
+    return points, triangulated(points, words[places].astype(int), lengths)

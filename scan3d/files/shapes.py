@@ -12,30 +12,36 @@ positions and required extensions wrongly without a message.
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
 from scan3d.choices import EXPORTS, one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.text import check_readable, rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
-from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
+from scan3d.geometry.triangles import collapsed, distance_of_readers, dot, representatives, spanned, without_unused
 from scan3d.shown import Exported, Rows
 from scan3d.units import UNITS_M, check_unit, length, lengths
 
-# Types of PLY by the codes of numpy; only those that the tables of scan3d need.
-_PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
-_PLY_CODES = {name: code for code, name in _PLY_TYPES.items()}
+# Types of PLY by the codes of numpy, which some programs call as numpy does, such as float32.
+_PLY_TYPES = {
+    "f8": "double", "f4": "float", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort", "i1": "char", "u1": "uchar"
+}  # fmt: skip
+_PLY_KINDS = {name: np.dtype(code) for code, own in _PLY_TYPES.items() for name in (own, np.dtype(code).name)}
+_PLY_ORDERS: dict[str, Literal["=", "<", ">"]] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_PLY_HEAD = re.compile(rb"(?:\xef\xbb\xbf)?ply\s+(format .*?[\r\n])end_header[ \t]*(?:\r\n|\r|\n)", re.DOTALL)
 _PLY_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
@@ -56,10 +62,10 @@ def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, commen
 
 
 def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
-    """Read a binary PLY as `ply` writes it: vertices as a structured array (n,), triangles (m, 3) or None, and comments.
+    """Read a PLY: vertices as a structured array (n,), triangles (m, 3) or None, and comments.
 
-    Raises InputError for a file that cannot be read, that is not such a PLY, that is incomplete, or whose triangles refer to
-    vertices that do not exist.
+    Raises InputError for a file that cannot be read, that is no PLY or is incomplete, or whose faces refer to vertices that do
+    not exist.
     """
     path = Path(path)
     try:
@@ -68,50 +74,121 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
     except OSError as error:
         raise InputError(f"can't read {path}: {error.strerror or error}; give a PLY written by scan3d") from None
     try:
-        return _parse_ply(data)
-    except ValueError as error:
-        raise InputError(f"{path.name} is not a PLY file as scan3d writes it: {error}") from None
+        return parse_ply(data)
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{path.name} is not a PLY file: {error}; export or download it again") from None
 
 
-def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
-    end = data.find(b"\nend_header\n", 0, 1 << 16)  # a large file that is no PLY is not searched further
-    if not data.startswith(b"ply\n") or end < 0:
+def parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
+    """As `read_ply`, of the bytes of a file.  Raises ValueError, LookupError and TypeError."""
+    head = _PLY_HEAD.match(data[: 1 << 16])  # a large file that is no PLY is not searched further
+    if head is None:
         raise ValueError("it lacks the header from 'ply' to 'end_header'")
-    first, *lines = data[4:end].decode(errors="replace").split("\n")
-    if first != "format binary_little_endian 1.0":
-        raise ValueError(f"expected the format binary_little_endian 1.0, got {first!r}")
-    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
-    # the header must have vertices of scalar columns, then optionally triangles, and nothing else
-    words = [line.split() for line in lines if not line.startswith("comment")]
-    rest = next((k for k, word in enumerate(words) if k > 0 and word[:1] != ["property"]), len(words))
-    for word in words[1:rest]:
-        if len(word) != 3 or word[1] not in _PLY_CODES:
-            raise ValueError(f"expected vertices of numbers only, got {' '.join(word)!r}")
-    row = np.dtype([(name, "<" + _PLY_CODES[kind]) for _, kind, name in words[1:rest]])
-    sizes = [_ply_count(words[:1], "vertex") * row.itemsize]
-    if rest < len(words):
-        sizes.append(_ply_count(words[rest : rest + 1], "face") * _PLY_TRIANGLE.itemsize)
-        if words[rest + 1 :] != [["property", "list", "uchar", "int", "vertex_indices"]]:
-            raise ValueError("expected faces as lists of vertex_indices, uchar and int, and nothing after them")
-    body = data[end + len(b"\nend_header\n") :]
-    if len(body) != sum(sizes):
-        raise ValueError(f"its header announces {sum(sizes)} bytes of numbers, but it has {len(body)}")
-    points = np.frombuffer(body[: sizes[0]], row)
-    if len(sizes) == 1:
-        return points, None, comments
-    faces = np.frombuffer(body[sizes[0] :], _PLY_TRIANGLE)
-    if (faces["count"] != 3).any():
-        raise ValueError("it has faces that are not triangles")
-    if len(faces) and not 0 <= faces["corners"].min() <= faces["corners"].max() < len(points):
+    lines = head[1].decode(errors="replace").splitlines()
+    words = [line.split() for line in lines if line.strip() and not line.startswith(("comment", "obj_info"))]
+    order, body = _PLY_ORDERS[words[0][1]], memoryview(data)[head.end() :]
+    if order == "=":  # text is cut at white space, and its numbers become double whatever the header calls them
+        body = memoryview(np.array(bytes(body).replace(b",", b".").split()).astype(np.float64).tobytes())
+    kinds = {name: np.dtype("f8") if order == "=" else kind.newbyteorder(order) for name, kind in _PLY_KINDS.items()}
+    elements: dict[str, dict[str, list[NDArray[Any]]]] = {}
+    starts = [*(k for k, word in enumerate(words) if word[0] == "element"), len(words)]
+    for start, stop in pairwise(starts):
+        rows = words[start + 1 : stop]
+        properties = [(word[-1], [kinds[kind] for kind in word[1:-1] if kind != "list"]) for word in rows]
+        elements[words[start][1]], body = _ply_element(body, int(words[start][2]), properties)
+    if bytes(body).strip():
+        raise ValueError(f"it has {len(body)} bytes of numbers more than its header counts")
+    vertex = elements["vertex"]
+    polygons = [lists for name, lists in elements.get("face", {}).items() if name.startswith("vertex_ind")]
+    for corners, counts in elements.get("tristrips", {}).values():
+        strips = of_strips(np.insert(corners, np.cumsum(counts.astype(int)), -1))
+        polygons.append([strips.ravel(), np.full(len(strips), 3)])
+    faces = None
+    if polygons:
+        points, sides = (
+            np.stack([vertex[name][0] for name in POINT], axis=1),
+            map(np.concatenate, zip(*polygons, strict=True)),
+        )
+        faces = triangulated(points, *(part.astype(np.int64) for part in sides)).astype(np.int32)
+    scalars = table({name: column[0] for name, column in vertex.items() if len(column) == 1})
+    return scalars, faces, tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
+
+
+def _ply_element(
+    body: memoryview, count: int, properties: Sequence[tuple[str, Sequence[np.dtype[Any]]]]
+) -> tuple[dict[str, list[NDArray[Any]]], memoryview]:
+    """The columns of an element, of a list all its values and how many each row has, and the bytes that follow."""
+    parts, rows = [], count
+    while count and properties:
+        fields: list[Any] = []
+        for k, (_, (*counted, kind)) in enumerate(properties):
+            shape = [int(np.frombuffer(body, one, 1, np.dtype(fields).itemsize)[0]) for one in counted]
+            fields += [*((f"{k} count", one) for one in counted), (str(k), kind, tuple(shape))]
+        row = np.dtype(fields)
+        rows = min(count, 8 * rows, len(body) // row.itemsize)
+        found = np.frombuffer(body, row, rows) if rows else np.empty(0, row)
+        for key in row.names or ():
+            if "count" in key and (other := found[key] != found[key][:1]).any():
+                rows = min(rows, int(np.argmax(other)))  # the next rows have lists of another length
+        if not rows:
+            raise ValueError("it is cut off")
+        parts.append(found[:rows])
+        count, body = count - rows, body[rows * row.itemsize :]
+    return {
+        name: [
+            np.concatenate([np.empty(0, kind), *(part[key].ravel() for part in parts)])
+            for key, kind in zip((str(k), f"{k} count"), kinds[::-1], strict=False)
+        ]
+        for k, (name, kinds) in enumerate(properties)
+    }, body
+
+
+def triangulated(points: Array, corners: Index, lengths: Index) -> Index:
+    """Triangles (t, 3) of polygons, whose corners follow one another, and of which each has so many.
+
+    They are fans about the first corners, and of polygons that are not convex what VTK cuts.  Raises ValueError for corners
+    that do not exist.
+    """
+    if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
         raise ValueError(f"its faces refer to vertices beyond its {len(points)}")
-    return points, faces["corners"].astype(np.int32), comments
+    number = np.maximum(lengths - 2, 0)
+    first, polygon = np.cumsum(number) - number, np.repeat(np.arange(len(lengths)), number)
+    start, k = (np.cumsum(lengths) - lengths)[polygon], np.arange(len(polygon)) - first[polygon]
+    faces: Index = corners[np.stack([start, start + k + 1, start + k + 2], axis=1)]
+    if lengths.max(initial=3) == 3:
+        return faces
+    spans = spanned(points[faces])
+    sums: list[NDArray[Any]] = [np.bincount(polygon, part, len(lengths)) for part in spans.T]
+    whole = np.stack(sums, axis=1)[polygon]
+    for folded in np.unique(polygon[dot(spans, whole) < -NEGLIGIBLE * dot(whole, whole)]):
+        ring = faces[first[folded] : first[folded] + number[folded]]
+        around = np.append(ring[0], ring[1:, 2])
+        cut = _cut(points[around])
+        ring[:] = around[cut] if len(cut) == len(ring) else ring
+    return faces
 
 
-def _ply_count(lines: list[list[str]], name: str) -> int:
-    """The number of an element; `lines` has its line of the header, or is empty."""
-    if [line[:2] for line in lines] != [["element", name]] or len(lines[0]) != 3 or not lines[0][2].isdecimal():
-        raise ValueError(f"expected 'element {name} COUNT', got {' '.join(lines[0]) if lines else 'nothing'!r}")
-    return int(lines[0][2])
+def _cut(points: Array) -> Index:
+    """Triangles (t, 3) into which VTK cuts a polygon (n, 3), which may lack some where it crosses itself."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkIdList, vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkPolygon
+
+    place, found, polygon = vtkPoints(), vtkIdList(), vtkPolygon()
+    place.SetData(numpy_to_vtk(points))
+    polygon.Initialize(len(points), place)
+    polygon.Triangulate(0, found, vtkPoints())
+    return np.array([found.GetId(k) for k in range(found.GetNumberOfIds())], dtype=np.int64).reshape(-1, 3)
+
+
+def of_strips(corners: Index) -> Index:
+    """Triangles (t, 3) of strips, which negative corners separate."""
+    k = np.arange(len(corners))
+    start = np.maximum.accumulate(np.where(corners < 0, k + 1, 0))
+    faces: Index = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    turned = (k - start)[:-2] % 2 == 1
+    faces[turned] = faces[turned, ::-1]
+    return faces[(faces >= 0).all(axis=1)]
 
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
@@ -377,9 +454,9 @@ def _check_digits(shape: Shape, ending: str) -> None:
         return
     bound = shape.columns.get("bound", np.zeros(0))
     bound = bound[np.isfinite(bound)]
-    allowed = max(1e-4 * np.linalg.norm(np.ptp(points, axis=0)), np.median(bound) if len(bound) else 0.0)
-    largest = np.abs(points).max()
     with np.errstate(all="ignore"):  # beyond the range of float32
+        allowed = max(1e-4 * np.linalg.norm(np.ptp(points, axis=0)), np.median(bound) if len(bound) else 0.0)
+        largest = np.abs(points).max()
         step = np.spacing(np.float32(largest))
     if step > allowed > 0:
         double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
@@ -471,11 +548,9 @@ def _stl(shape: Shape) -> bytes:
     """Binary STL, float32; the unit and the frame are in its header of 80 bytes."""
     assert shape.faces is not None
     corners = shape.points[shape.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(across, axis=1, keepdims=True)
     rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     # a triangle without area has no normal; STL then has zeros
-    rows["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+    rows["normal"] = unit_or_zero(spanned(corners))
     rows["corners"] = corners
     header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(80)
     return header + struct.pack("<I", len(rows)) + rows.tobytes()
@@ -618,8 +693,8 @@ class _Buffers:
 # --- reading ---
 
 
-def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
-    """Vertices (v, 3) and triangles (f, 3) of each part of the scene in a GLB, where its nodes put them.
+def read_glb(data: bytes, scale: float = 1.0) -> tuple[Array, Index]:
+    """Vertices (v, 3) and triangles (f, 3) of the scene in a GLB, where its nodes put them.
 
     The vertices are in metres, multiplied by a scale.  A file of `glb` is turned back to the axes of the world; those of other
     programs are read with the axes they have.  Raises InputError for what is not read, such as compressed data, and errors of
@@ -655,9 +730,14 @@ def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
                 points, faces = content.triangles(primitive)
                 faces = faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]  # a mirror image
                 parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
+    first = np.cumsum([0, *(len(points) for points, _ in parts)])
+    points = np.concatenate([np.empty((0, 3)), *(points for points, _ in parts)])
+    faces = np.concatenate(
+        [np.empty((0, 3), int), *(own + before for (_, own), before in zip(parts, first, strict=False))]
+    )
     extras = tree["asset"].get("extras")
     is_turned = isinstance(extras, Mapping) and extras.get("axes") == _AXES
-    return [(points[:, [0, 2, 1]] * [1, -1, 1], faces) for points, faces in parts] if is_turned else parts
+    return points[:, [0, 2, 1]] * [1, -1, 1] if is_turned else points, faces
 
 
 def _chunks(data: bytes) -> tuple[Any, bytes]:
@@ -710,6 +790,8 @@ class _Content:
         corners = np.arange(len(points))
         if "indices" in primitive:
             corners = self._values(self._tree["accessors"][primitive["indices"]]).ravel().astype(np.int64)
+        if corners.max(initial=-1) >= len(points):
+            raise IndexError("a face has a vertex that does not exist")
         return points, corners.reshape(-1, 3)
 
     def _values(self, accessor: Mapping[str, Any]) -> NDArray[Any]:
