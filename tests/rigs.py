@@ -125,6 +125,13 @@ def with_wrench(recording, force, moment):
     return replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2], **(six if recording.six_axis else {}))
 
 
+def six_axis_recording(rod, sweep, position, quaternion, force, moment, **more):
+    """A recording of forces and moments (n, 3) at the clamp."""
+    channels = dict(force_N=force[:, :2], force_z_N=force[:, 2], moment_Nm=moment[:, 2])
+    channels |= dict(moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
+    return scan3d.Recording(sweep=sweep, position_m=position, quaternion=quaternion, rod=rod, **channels, **more)
+
+
 def in_world(recording, turn, shift=(0.0, 0.0, 0.0)):
     """The recording in a world in which everything is turned, and moved by a shift in metres."""
     quaternion = (turn * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True)
@@ -158,19 +165,11 @@ def logged(truth, sweep, position, axes, force, moment, rng, *, rod=ROD, stated=
     wrench = wrench + size * (np.array(truth.bias) + time * truth.drift + truth.noise * noise)
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
     pose = np.einsum("nji,kj->nik", axes, clamp)  # columns: axes of the pose's frame in the world
-    return scan3d.Recording(
-        sweep=sweep,
-        position_m=position - pose @ truth.clamp + truth.jitter * rng.normal(size=position.shape),
-        quaternion=Rotation.from_matrix(pose).as_quat(scalar_first=True),
-        force_N=wrench[:, :2],
-        moment_Nm=wrench[:, 5],
-        force_z_N=wrench[:, 2],
-        moment_x_Nm=wrench[:, 3],
-        moment_y_Nm=wrench[:, 4],
-        rod=rod,
-        noise_force_N=stated * truth.noise * size[0],
-        noise_moment_Nm=stated * truth.noise * size[3],
-    )
+    place = position - pose @ truth.clamp + truth.jitter * rng.normal(size=position.shape)
+    quaternion = Rotation.from_matrix(pose).as_quat(scalar_first=True)
+    force_sd, moment_sd = (stated * truth.noise * size[k] for k in (0, 3))
+    known = dict(noise_force_N=force_sd, noise_moment_Nm=moment_sd)
+    return six_axis_recording(rod, sweep, place, quaternion, wrench[:, :3], wrench[:, 3:], **known)
 
 
 def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=swept, **raster):

@@ -3,9 +3,31 @@
 from typing import NamedTuple
 
 import numpy as np
+import trimesh
 
 from planar.elastica import bend, partial_shape
-from scan3d.spatial.bodies import Ellipsoid, sphere_directions
+from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron, sphere_directions
+
+# Of sweeps past an ellipsoid with the semi-axes (0.9, 0.675, 0.45) about (0, 1.075, 0), from bases at (x0, 0, 0.1125): x0;
+# contact; s1; support reaction; moment's x and z.
+FRICTIONLESS = """
+0.7  0.7869688 0.9493596 0.2016290 0.9591246 -0.2918141 0.0828239 -0.2990623 -0.2912997 0.2842396
+0.5  0.5896206 0.8015688 0.2869811 0.8300092 -0.4491038 0.3702539 -0.8743543 -0.7654575 0.3931700
+0.3  0.3587317 0.6953255 0.3259755 0.7367475 -0.4077753 0.7672555 -1.4821631 -1.1943760 0.3285988
+0.1  0.1200880 0.6420749 0.3399928 0.6895639 -0.1669100 1.0697269 -1.8902200 -1.4570179 0.1286575
+"""
+FRICTION_03 = """
+0.7  0.824369 0.955204 0.161943 0.966406 -0.412435 0.059358 -0.163965 -0.159555 0.401342
+0.5  0.668238 0.814433 0.246351 0.847971 -0.804429 0.330476 -0.640011 -0.565480 0.710752
+0.3  0.451591 0.703968 0.300553 0.752470 -1.006529 0.724946 -1.248626 -1.015322 0.818460
+0.1  0.216555 0.643373 0.328596 0.697911 -0.947536 1.062197 -1.756758 -1.359788 0.733423
+-0.1 -0.025163 0.635967 0.341577 0.689153 -0.627132 1.113808 -1.919658 -1.475988 0.482190
+"""
+
+
+def table(text):
+    """The numbers of a table."""
+    return np.array([line.split() for line in text.strip().splitlines()], dtype=float)
 
 
 class Rods(NamedTuple):
@@ -82,6 +104,16 @@ def random_ellipsoid(seed):
     rng = np.random.default_rng(seed)
     semi_axes, axes = rng.uniform(0.25, 0.55, 3), turned(rng)
     return Ellipsoid(semi_axes, axes=axes), semi_axes, axes
+
+
+HALF = np.array([0.3, 0.2, 0.25])
+
+
+def cuboid(radius, rng):
+    """A fattened cuboid of the half lengths `HALF`, turned askew: the body, and its axes as rows."""
+    turn = turned(rng)
+    mesh = trimesh.creation.box(2 * HALF)
+    return RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius), turn
 
 
 def turned(rng):

@@ -83,6 +83,7 @@ def polytope(seed, count=30, stretch=(1.0, 1.0, 1.0), shift=(0.0, 0.0, 0.0)):
 
 
 def ball(seed, count=200, radius=1.0):
+    """The hull of random points on a ball, or on an ellipsoid of three semi-axes."""
     return trimesh.Trimesh(
         radius * unit(np.random.default_rng(seed).standard_normal((count, 3))), process=False
     ).convex_hull

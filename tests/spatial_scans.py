@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import sweep
+from tests.rigs import six_axis_recording
 
 SEMI_AXES = (0.45, 0.36, 0.27)
 LENGTH = 0.05
@@ -55,17 +56,7 @@ def recorded(friction=0.3, *, diameter=0.0, noise=(0.0, 0.0), seed=0, substeps=4
     moment = np.where(touching, result.moment.reshape(-1, 3), 0) + noise[1] * rng.normal(size=(m * n, 3))
     force, moment = force * rod.force_unit_N, moment * rod.moment_unit_Nm
     quaternion = Rotation.from_matrix(axes.swapaxes(1, 2)).as_quat(scalar_first=True)
-    recording = scan3d.Recording(
-        sweep=np.repeat(np.arange(m), n),
-        position_m=position.reshape(-1, 3) * LENGTH,
-        quaternion=np.repeat(quaternion, n, axis=0),
-        force_N=force[:, :2],
-        moment_Nm=moment[:, 2],
-        rod=rod,
-        force_z_N=force[:, 2],
-        moment_x_Nm=moment[:, 0],
-        moment_y_Nm=moment[:, 1],
-        noise_force_N=noise[0] * rod.force_unit_N,
-        noise_moment_Nm=noise[1] * rod.moment_unit_Nm,
-    )
+    place = np.repeat(np.arange(m), n), position.reshape(-1, 3) * LENGTH, np.repeat(quaternion, n, axis=0)
+    known = dict(noise_force_N=noise[0] * rod.force_unit_N, noise_moment_Nm=noise[1] * rod.moment_unit_Nm)
+    recording = six_axis_recording(rod, *place, force, moment, **known)
     return recording, result.point.reshape(-1, 3) * LENGTH * 1000, result.normal.reshape(-1, 3)

@@ -94,7 +94,7 @@ def test_sweep_changes_its_phase_at_the_transitions_of_the_table(friction):
 
 def will(friction):
     swept = planar.sweep(CIRCLE, friction, samples=4000)
-    return swept, planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, "will")
+    return swept, planar.reconstruct(*swept.reactions, "will")
 
 
 def test_equation_10_mistakes_tip_contacts_for_tangential_ones_only_at_the_end():

@@ -5,51 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from rods_in_space import table
 
 import planar
 from planar import Phase, Rod, Status
 
-# s1, x1 - x0, y1, φ1 and β of rods under reactions f0x, f0y, m0z, by DOP853 at a relative tolerance of 1e-12.
-REFERENCES = [
-    (Rod(), (-0.55, 0.15, 0.55), (0.971568828353, 0.172332371782, 0.953000262241, 1.302351630839, 0.002192646805)),
-    (
-        Rod(tip_diameter=0.6),
-        (-0.55, 0.15, 0.55),
-        (0.978969209168, 0.280220336786, 0.923576271786, 1.036002479011, 0.268541798633),
-    ),
-    (
-        Rod(curvature=-0.3),
-        (-0.55, 0.15, 0.55),
-        (0.979545625122, 0.309935112378, 0.915472242079, 1.008622389065, 0.295921888579),
-    ),
-    (
-        Rod(compliance=0.05),
-        (-0.55, 0.15, 0.55),
-        (0.969610668882, 0.197568623419, 0.946117648158, 1.275720495381, 0.028823782263),
-    ),
-    (
-        Rod(tip_diameter=0.6, curvature=-0.3),
-        (-0.9, 0.5, 0.9),
-        (0.923427223045, 0.476557460948, 0.735245855029, 0.522284150891, 0.541413671511),
-    ),
+# f0x, f0y, m0z; then s1, x1 - x0, y1, φ1 and β of these rods, by DOP853 at a relative tolerance of 1e-12.
+CASES = [Rod(), Rod(tip_diameter=0.6), Rod(curvature=-0.3), Rod(compliance=0.05), Rod(tip_diameter=0.6, curvature=-0.3)]
+REFERENCES = """
+-0.55 0.15 0.55 0.971568828353 0.172332371782 0.953000262241 1.302351630839 0.002192646805
+-0.55 0.15 0.55 0.978969209168 0.280220336786 0.923576271786 1.036002479011 0.268541798633
+-0.55 0.15 0.55 0.979545625122 0.309935112378 0.915472242079 1.008622389065 0.295921888579
+-0.55 0.15 0.55 0.969610668882 0.197568623419 0.946117648158 1.275720495381 0.028823782263
+-0.90 0.50 0.90 0.923427223045 0.476557460948 0.735245855029 0.522284150891 0.541413671511
+"""
+# without friction that would hold them, so that only the march takes them
+PULLED = [
+    Rod(weight=0.2, gravity=(0, -1)),
+    Rod(weight=0.2, gravity=(1, 0)),
+    Rod(tip_diameter=0.8, curvature=-0.3, weight=0.05, gravity=(0.6, -0.8), compliance=0.05),
 ]
-PULLED = [  # without friction that would hold them, so that only the march takes them
-    (
-        Rod(weight=0.2, gravity=(0, -1)),
-        (-0.6, 0.35, 0.42),
-        (0.672879563881, 0.063674987209, 0.669248527179, 1.428171149647),
-    ),
-    (
-        Rod(weight=0.2, gravity=(1, 0)),
-        (-0.6, 0.35, 0.42),
-        (0.739971458668, 0.075410453228, 0.735351452337, 1.417557130186),
-    ),
-    (
-        Rod(tip_diameter=0.8, curvature=-0.3, weight=0.05, gravity=(0.6, -0.8), compliance=0.05),
-        (-0.6, 0.35, 0.42),
-        (0.648226311094, 0.143175065057, 0.628444442975, 1.187946837240),
-    ),
-]
+OF_PULLED = """
+-0.6 0.35 0.42 0.672879563881 0.063674987209 0.669248527179 1.428171149647
+-0.6 0.35 0.42 0.739971458668 0.075410453228 0.735351452337 1.417557130186
+-0.6 0.35 0.42 0.648226311094 0.143175065057 0.628444442975 1.187946837240
+"""
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 HEXAGON = planar.Polygon([(0.5 * np.cos(a), 1 + 0.5 * np.sin(a)) for a in np.arange(6) * np.pi / 3 + 0.2])
 CONTOURS = [CIRCLE, planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3), HEXAGON]
@@ -58,13 +38,10 @@ EVERYTHING = Rod(tip_diameter=0.6, curvature=-0.3, weight=0.05, gravity=(0.3, -1
 RODS = [Rod(tip_diameter=0.4), STEPPED, Rod(curvature=-0.3), Rod(weight=0.1, gravity=(0, -1)), EVERYTHING]
 
 
-def columns(swept):
-    return swept.x0, swept.f0x, swept.f0y, swept.m0z
-
-
-@pytest.mark.parametrize(("rod", "reactions", "expected"), REFERENCES)
+@pytest.mark.parametrize(("rod", "row"), list(zip(CASES, table(REFERENCES), strict=True)))
 @pytest.mark.parametrize("method", ["closed-form", "scholz-rahn"])
-def test_reference_values(rod, reactions, expected, method):
+def test_reference_values(rod, row, method):
+    reactions, expected = row[:3], row[3:]
     contacts = planar.reconstruct(0.0, *reactions, method, rod=rod)
     slope = contacts.force_angle - contacts.friction_angle_bound
     got = [contacts.s1, *contacts.point.T, slope, contacts.friction_angle_bound]
@@ -74,8 +51,9 @@ def test_reference_values(rod, reactions, expected, method):
         np.testing.assert_allclose(np.concatenate(got), expected, atol=1e-10)
 
 
-@pytest.mark.parametrize(("rod", "reactions", "expected"), PULLED)
-def test_reference_values_of_heavy_rods(rod, reactions, expected):
+@pytest.mark.parametrize(("rod", "row"), list(zip(PULLED, table(OF_PULLED), strict=True)))
+def test_reference_values_of_heavy_rods(rod, row):
+    reactions, expected = row[:3], row[3:]
     force = -np.array([[reactions[0]], [reactions[1]]]) - rod.weight * rod.down[:, None]
     found = planar.rods.contacts(rod, force, np.array([-reactions[2]]))
     np.testing.assert_allclose(np.concatenate(found[:4]), expected, atol=1e-10)
@@ -104,7 +82,7 @@ def integrated(rod, force, start, ends):
 def test_an_integration_from_the_clamp_ends_without_moment(rod):
     # with the contact force up to the contact and without it behind
     swept = planar.sweep(CIRCLE, 0.3, samples=40, rod=rod)
-    contacts = planar.reconstruct(*columns(swept), rod=rod)
+    contacts = planar.reconstruct(*swept.reactions, rod=rod)
     rows = np.flatnonzero(contacts.status == Status.OK)[1::6]
     assert len(rows) >= 5
     for i in rows:
@@ -182,7 +160,7 @@ def test_sweeps_are_reconstructed(contour, rod, direction):
     swept = planar.sweep(contour, friction, samples=36, rod=rod, direction=direction)
     touching = swept.phase != Phase.NONE
     assert touching[1:-1].mean() > 0.95
-    contacts = planar.reconstruct(*columns(swept), rod=rod, direction=direction)
+    contacts = planar.reconstruct(*swept.reactions, rod=rod, direction=direction)
     # at touch-down there is no force
     found = contacts.status == Status.OK
     assert found.sum() >= touching.sum() - 2
@@ -235,7 +213,7 @@ def test_arcs_in_closed_form_agree_with_the_march(curvature):
 
 def test_derivatives_agree_with_those_of_the_closed_form():
     swept = planar.sweep(CIRCLE, 0.3, samples=20)
-    reactions = [column[2:] for column in columns(swept)[1:]]
+    reactions = [column[2:] for column in swept.reactions[1:]]
     for sign, direction in ((1, -1), (-1, 1)):
         f0x, f0y, m0z = sign * reactions[0], reactions[1], sign * reactions[2]
         exact = planar.jacobian(f0x, f0y, m0z, direction=direction)
@@ -249,11 +227,11 @@ def test_stated_errors_are_those_of_noisy_reactions():
     rod, noise, rng = EVERYTHING, 1e-4, np.random.default_rng(0)
     swept = planar.sweep(CIRCLE, 0.3, samples=12, rod=rod)
     rows = np.flatnonzero(swept.phase != Phase.NONE)[3:]
-    x0, *reactions = (np.repeat(column[rows], 400) for column in columns(swept))
+    x0, *reactions = (np.repeat(column[rows], 400) for column in swept.reactions)
     noisy = [column + rng.normal(0, noise, len(column)) for column in reactions]
     contacts = planar.reconstruct(x0, *noisy, rod=rod, tolerance=0.05)
     apart = contacts.point.reshape(len(rows), 400, 2) - swept.point[rows, None]
-    errors = planar.errors(*(column[rows] for column in columns(swept)[1:]), noise=(noise, noise), rod=rod)
+    errors = planar.errors(*(column[rows] for column in swept.reactions[1:]), noise=(noise, noise), rod=rod)
     stated = np.sqrt(np.trace(errors.point, axis1=1, axis2=2))
     np.testing.assert_allclose(np.sqrt((apart**2).sum(axis=2).mean(axis=1)), stated, rtol=0.15)
 
@@ -270,7 +248,7 @@ def test_reactions_of_the_free_rod():
 def test_statuses_of_any_rod():
     rod = Rod(tip_diameter=0.6)
     swept = planar.sweep(CIRCLE, 0.3, samples=20, rod=rod)
-    x0, f0x, f0y, m0z = (column[8] for column in columns(swept))
+    x0, f0x, f0y, m0z = (column[8] for column in swept.reactions)
     rows = np.array(
         [[x0, 0, 0, m0z], [x0, f0x, f0y, -m0z], [x0, f0x, f0y, 100], [np.nan, f0x, f0y, m0z], [x0, f0x, f0y, m0z]]
     )

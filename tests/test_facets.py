@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import nnls
+from shapes import ball
 
 import scan3d
 from scan3d.cloud import NormalSource
@@ -19,9 +20,8 @@ pytestmark = pytest.mark.slow
 
 
 def polytope(vertices, seed):
-    """A random body, every vertex of which lies on an ellipsoid, in a random orientation."""
-    directions = np.random.default_rng(seed).normal(size=(vertices, 3))
-    return hull(40 * directions / np.linalg.norm(directions, axis=1)[:, None] * [1.0, 0.8, 0.6])
+    """A random body, every vertex of which lies on an ellipsoid."""
+    return ball(seed, vertices, np.array([40.0, 32.0, 24.0]))
 
 
 def planes_of(body):

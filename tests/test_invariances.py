@@ -92,7 +92,7 @@ def test_mirror(contour, friction):
 @given(contours, frictions)
 def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
     swept = planar.sweep(contour, friction, base=inner_base(contour, friction))
-    leftward = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, friction=friction)
+    leftward = planar.reconstruct(*swept.reactions, friction=friction)
     rightward = planar.reconstruct(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, friction=friction, direction=1)
     assert np.array_equal(leftward.status, rightward.status)
     assert np.array_equal(leftward.phase, rightward.phase)
@@ -102,7 +102,7 @@ def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
         np.testing.assert_array_equal(getattr(rightward, name), getattr(leftward, name))
     for name in ("point", "normal", "normal_force", "tangential_force"):
         np.testing.assert_array_equal(getattr(rightward, name), getattr(leftward, name) * [-1, 1])
-    lines = planar.elastic_lines(swept.x0, swept.f0x, swept.f0y, swept.m0z, points=7)
+    lines = planar.elastic_lines(*swept.reactions, points=7)
     mirrored = planar.elastic_lines(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, points=7)
     np.testing.assert_allclose(mirrored.curved, lines.curved * [-1, 1], atol=1e-14)
     np.testing.assert_allclose(mirrored.straight, lines.straight * [-1, 1], atol=1e-14)
@@ -233,7 +233,7 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
 @given(contours, frictions, st.integers(0, 2**32 - 1))
 def test_reconstruction_treats_every_row_separately(contour, friction, seed):
     swept = planar.sweep(contour, friction, base=inner_base(contour, friction))
-    columns = (swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    columns = swept.reactions
     order = np.random.default_rng(seed).permutation(len(swept))
     in_order, shuffled = planar.reconstruct(*columns), planar.reconstruct(*(column[order] for column in columns))
     for name in ("point", "s1", "phase", "status", "friction_angle_bound", "slope"):

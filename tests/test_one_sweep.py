@@ -33,7 +33,7 @@ def columns(sweep, si=False):
     """The table (n, 4) of a sweep."""
     rod = parse_rod(ROD)
     units = [rod.length_m, rod.force_unit_N, rod.force_unit_N, rod.moment_unit_Nm] if si else [1, 1, 1, 1]
-    return np.column_stack([sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z]) * units
+    return np.column_stack(sweep.reactions) * units
 
 
 def write(path, table, header=COLUMNS):

@@ -28,7 +28,7 @@ def random_friction():
 
 
 def reconstruct(swept, method="closed-form", **options):
-    return planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, method, **options)
+    return planar.reconstruct(*swept.reactions, method, **options)
 
 
 # III-A: generating the support reactions

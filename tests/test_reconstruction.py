@@ -76,15 +76,11 @@ def test_a_contact_past_the_tip(method):
 def test_a_negative_friction_angle(method):
     tip = SWEPT.phase == Phase.TIP
     # a tip contact with β < 0, scaled so that the contact is not at the tip
-    i = np.flatnonzero(tip & (planar.reconstruct(*columns()).friction_angle_bound < -0.1))[0]
+    i = np.flatnonzero(tip & (planar.reconstruct(*SWEPT.reactions).friction_angle_bound < -0.1))[0]
     scale = 0.9
-    shorter = [column[i] * scale**power for column, power in zip(columns(), (1, -2, -2, -1), strict=True)]
+    shorter = [column[i] * scale**power for column, power in zip(SWEPT.reactions, (1, -2, -2, -1), strict=True)]
     contacts = planar.reconstruct(*([value] for value in shorter), method)
     assert_no_contact(contacts, Status.INFLECTION)
-
-
-def columns():
-    return SWEPT.x0, SWEPT.f0x, SWEPT.f0y, SWEPT.m0z
 
 
 def test_a_batch_masks_its_bad_rows_and_keeps_the_others():
@@ -99,10 +95,10 @@ def test_a_batch_masks_its_bad_rows_and_keeps_the_others():
 
 def test_more_rows_than_are_processed_at_once():
     repeat = 20_000 // len(SWEPT) + 1
-    many = [np.tile(column, repeat) for column in columns()]
+    many = [np.tile(column, repeat) for column in SWEPT.reactions]
     friction = np.full(len(many[0]), 0.2)
     contacts = planar.reconstruct(*many, friction=friction)
-    once = planar.reconstruct(*columns(), friction=0.2)
+    once = planar.reconstruct(*SWEPT.reactions, friction=0.2)
     assert len(contacts) == len(many[0])
     for name in ("status", "phase", "normal_source"):
         np.testing.assert_array_equal(getattr(contacts, name), np.tile(getattr(once, name), repeat))
@@ -111,10 +107,10 @@ def test_more_rows_than_are_processed_at_once():
 
 
 def test_tolerance_decides_between_tip_and_tangential():
-    contacts = planar.reconstruct(*columns())
+    contacts = planar.reconstruct(*SWEPT.reactions)
     nearly = (contacts.s1 > 0.95) & (contacts.phase == Phase.TANGENTIAL)
     assert nearly.any()
-    tolerant = planar.reconstruct(*columns(), tolerance=0.05)
+    tolerant = planar.reconstruct(*SWEPT.reactions, tolerance=0.05)
     assert (tolerant.phase[nearly] == Phase.TIP).all()
     assert np.isnan(tolerant.friction_angle[nearly]).all()
     # and a contact beyond the tip by less than the tolerance is a tip contact
@@ -124,15 +120,14 @@ def test_tolerance_decides_between_tip_and_tangential():
     assert passed.s1[0] == pytest.approx(1.01)
     # rounding puts friction angles of 0 on both sides of 0
     frictionless = planar.sweep(CIRCLE, 0.0, samples=200)
-    reactions = (frictionless.x0, frictionless.f0x, frictionless.f0y, frictionless.m0z)
-    assert (planar.reconstruct(*reactions).status[1:] == Status.OK).all()
+    assert (planar.reconstruct(*frictionless.reactions).status[1:] == Status.OK).all()
 
 
 def test_known_friction_fills_in_tip_contacts_only():
     tangential = SWEPT.phase == Phase.TANGENTIAL
-    without = planar.reconstruct(*columns())
+    without = planar.reconstruct(*SWEPT.reactions)
     # with a wrong coefficient: in tangential contact the slope measured by the rod takes precedence
-    given = planar.reconstruct(*columns(), friction=np.full(len(SWEPT), 0.9))
+    given = planar.reconstruct(*SWEPT.reactions, friction=np.full(len(SWEPT), 0.9))
     np.testing.assert_array_equal(given.slope[tangential], without.slope[tangential])
     tip = given.phase == Phase.TIP
     np.testing.assert_allclose(given.slope[tip], (given.force_angle - np.arctan(0.9))[tip])
@@ -144,7 +139,7 @@ def test_equation_10_is_its_integral_clipped_to_the_tip():
     # s1 = (1/√(2f)) ∫_α^{π/2} dt/√sin(t - α), by quadrature: t = α + w² removes the root from the denominator
     from scipy.integrate import quad
 
-    contacts = planar.reconstruct(*columns(), "will")
+    contacts = planar.reconstruct(*SWEPT.reactions, "will")
     clipped = 0
     for i in np.flatnonzero(contacts.status == Status.OK):
         f, alpha = np.hypot(SWEPT.f0x, SWEPT.f0y)[i], np.arctan2(-SWEPT.f0x, SWEPT.f0y)[i]
@@ -159,7 +154,7 @@ def test_equation_10_is_its_integral_clipped_to_the_tip():
 
 
 def test_elastic_lines_run_from_the_clamp_to_the_contact_and_on_to_the_tip():
-    lines = planar.elastic_lines(*columns(), points=400)
+    lines = planar.elastic_lines(*SWEPT.reactions, points=400)
     np.testing.assert_allclose(lines.curved[:, 0], np.stack([SWEPT.x0, np.zeros(25)], axis=1), atol=1e-14)
     np.testing.assert_allclose(lines.curved[:, -1], SWEPT.point, atol=1e-13)
     np.testing.assert_array_equal(lines.straight[:, 0], lines.curved[:, -1])
@@ -177,7 +172,7 @@ def test_elastic_lines_run_from_the_clamp_to_the_contact_and_on_to_the_tip():
 
 
 def test_elastic_lines_never_enter_the_object():
-    lines = planar.elastic_lines(*columns(), points=200)
+    lines = planar.elastic_lines(*SWEPT.reactions, points=200)
     for points in (lines.curved, lines.straight):
         assert np.linalg.norm(points - CIRCLE.center, axis=2).min() > CIRCLE.radius - 1e-12
 

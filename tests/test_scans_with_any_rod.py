@@ -16,6 +16,7 @@ from scan3d.laboratory.maps import read_map
 from scan3d.reconstruction.contacts import readings
 from scan3d.rods import SLENDERNESS, parse_rod
 from scan3d.spatial import march
+from tests.rigs import six_axis_recording
 
 MESH = "meshes/egg.stl"
 WIRE = Rod.wire(0.04, 0.25e-3, 210e9)
@@ -96,19 +97,11 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
     force, moment = rng.normal(size=(2, n, 3)) * [[[0.3, 0.1, 0.3]], [[0.25, 0.03, 0.25]]]
     position = rng.normal(size=(n, 3)) * 0.01
     gravity = Gravity((0.0, 0.0, -2.0), tared=False)
-    columns = dict(sweep=np.zeros(n, int), position_m=position, quaternion=quaternion, rod=rod)
+    poses = np.zeros(n, int), position, quaternion
 
     def recording(force, moment, gravity):
-        force, moment = force * rod.force_unit_N, moment * rod.moment_unit_Nm
-        return scan3d.Recording(
-            **columns,
-            force_N=force[:, :2],
-            force_z_N=force[:, 2],
-            moment_Nm=moment[:, 2],
-            moment_x_Nm=moment[:, 0],
-            moment_y_Nm=moment[:, 1],
-            gravity=gravity,
-        )
+        wrench = force * rod.force_unit_N, moment * rod.moment_unit_Nm
+        return six_axis_recording(rod, *poses, *wrench, gravity=gravity)
 
     whole = recording(force, moment, gravity)
     down = whole.down()

@@ -73,7 +73,7 @@ def test_friction_that_varies_is_not_taken_for_constant():
     rng = np.random.default_rng(13)
     base = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.0, samples=60).x0
     swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), rng.uniform(0, 0.4, 60), base=base)
-    found = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    found = planar.reconstruct(*swept.reactions)
     assert np.isnan(constant_friction_angle(found))
     assert not second_contacts(swept.x0, found).any()
 
@@ -81,7 +81,7 @@ def test_friction_that_varies_is_not_taken_for_constant():
 def test_a_contact_that_leaves_the_rods_line_is_not_single():
     """Without friction a row alone does not tell; a contact that moves across the rod does."""
     swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.0, samples=120)
-    found = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    found = planar.reconstruct(*swept.reactions)
     assert not second_contacts(swept.x0, found).any()
     shifted = found.point.copy()
     middle = int(np.flatnonzero(found.phase == Phase.TANGENTIAL)[20])
@@ -168,7 +168,7 @@ def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
     shifts = [np.array([0, 0.5 - (outline @ turn.T)[:, 1].min()]) for turn in turns]
     contours = [planar.Polygon(outline @ turn.T + shift) for turn, shift in zip(turns, shifts, strict=True)]
     swept = planar.sweep_all(contours, [0.3] * 3, samples=60)
-    columns = [(one.x0, one.f0x, one.f0y, one.m0z) for one in swept]
+    columns = [one.reactions for one in swept]
     contacts = [planar.reconstruct(*reactions) for reactions in columns]
     friction = np.tan(constant_friction_angle(contacts[0]))
     assert friction == pytest.approx(0.3, abs=1e-9)

@@ -2,25 +2,16 @@
 
 import numpy as np
 import pytest
+from rods_in_space import FRICTION_03, FRICTIONLESS, table
 from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d.spatial.inverse import Status, errors, reconstruct
 
-# Reference values: x0, r1, s1, f0, (m0x, m0z), tangential contacts with an ellipsoid; base at (x0, 0, 0.1125).
-FRICTIONLESS = [
-    (0.7, (0.7869688, 0.9493596, 0.2016290), 0.9591246, (-0.2918141, 0.0828239, -0.2990623), (-0.2912997, 0.2842396)),
-    (0.5, (0.5896206, 0.8015688, 0.2869811), 0.8300092, (-0.4491038, 0.3702539, -0.8743543), (-0.7654575, 0.3931700)),
-    (0.3, (0.3587317, 0.6953255, 0.3259755), 0.7367475, (-0.4077753, 0.7672555, -1.4821631), (-1.1943760, 0.3285988)),
-    (0.1, (0.1200880, 0.6420749, 0.3399928), 0.6895639, (-0.1669100, 1.0697269, -1.8902200), (-1.4570179, 0.1286575)),
-]
-WITH_FRICTION = [
-    (0.7, (0.824369, 0.955204, 0.161943), 0.966406, (-0.412435, 0.059358, -0.163965), (-0.159555, 0.401342)),
-    (0.5, (0.668238, 0.814433, 0.246351), 0.847971, (-0.804429, 0.330476, -0.640011), (-0.565480, 0.710752)),
-    (0.3, (0.451591, 0.703968, 0.300553), 0.752470, (-1.006529, 0.724946, -1.248626), (-1.015322, 0.818460)),
-    (0.1, (0.216555, 0.643373, 0.328596), 0.697911, (-0.947536, 1.062197, -1.756758), (-1.359788, 0.733423)),
-    (-0.1, (-0.025163, 0.635967, 0.341577), 0.689153, (-0.627132, 1.113808, -1.919658), (-1.475988, 0.482190)),
-]
+
+def parts(text):
+    """x0, r1, s1, f0, and (m0x, m0z) of each row of reference values."""
+    return [(row[0], row[1:4], row[4], row[5:8], row[8:]) for row in table(text)]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +27,7 @@ def reactions():
 
 
 # The seventh digit of the reactions is rounded, and the contact follows from them with a condition of some 2 to 20.
-@pytest.mark.parametrize(("rows", "digits"), [(FRICTIONLESS, 2e-7), (WITH_FRICTION, 2e-6)])
+@pytest.mark.parametrize(("rows", "digits"), [(parts(FRICTIONLESS), 2e-7), (parts(FRICTION_03), 2e-6)])
 def test_the_reference_values_return(rows, digits):
     for x0, r1, s1, f0, (m0x, m0z) in rows:
         found = reconstruct([f0], [(m0x, 0.0, m0z)])
@@ -48,7 +39,7 @@ def test_the_reference_values_return(rows, digits):
 
 
 def test_frictionless_reference_contacts_have_the_ellipsoids_normal():
-    for x0, r1, _, f0, (m0x, m0z) in FRICTIONLESS:
+    for x0, r1, _, f0, (m0x, m0z) in parts(FRICTIONLESS):
         found = reconstruct([f0], [(m0x, 0.0, m0z)])
         # below the body's centre (0, 1.075, 0); the force on the rod is along the outward normal
         normal = (np.array(r1) - [0, 1.075, 0]) / np.square([0.9, 0.675, 0.45])
@@ -153,7 +144,7 @@ def test_tiny_reactions_near_touch_down_keep_their_digits(scale):
 @pytest.mark.parametrize("noise", [(1e-4, 1e-6), (1e-6, 1e-4), (1e-5, 0.0)])
 def test_errors_are_those_of_monte_carlo(noise):
     rng = np.random.default_rng(7)
-    rows, trials = [FRICTIONLESS[0], FRICTIONLESS[2], WITH_FRICTION[1]], 20_000
+    rows, trials = [*parts(FRICTIONLESS)[::2], parts(FRICTION_03)[1]], 20_000
     for _, _, _, f0, (m0x, m0z) in rows:
         f0, m0 = np.array(f0), np.array([m0x, 0.0, m0z])
         known = errors(f0[None], m0[None], noise)
@@ -172,7 +163,7 @@ def test_errors_are_those_of_monte_carlo(noise):
 
 
 def test_force_and_moment_together_know_the_bending_plane_better_than_the_moment_alone():
-    _, _, _, f0, (m0x, m0z) = FRICTIONLESS[2]
+    _, _, _, f0, (m0x, m0z) = parts(FRICTIONLESS)[2]
     rng = np.random.default_rng(8)
     force = f0 + 1e-5 * rng.normal(size=(4000, 3))
     moment = np.array([m0x, 0, m0z]) + 1e-4 * rng.normal(size=(4000, 3))

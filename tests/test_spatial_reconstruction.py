@@ -12,7 +12,7 @@ import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
 from scan3d.spatial.normals import angles
-from tests.rigs import in_world, with_wrench
+from tests.rigs import in_world, six_axis_recording, with_wrench
 
 FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
 
@@ -132,18 +132,11 @@ def test_a_recording_in_the_mirror_plane_has_the_planar_contacts():
     """A planar sweep of a circle, as six axes: the contacts of both models agree."""
     swept = planar.sweep(planar.Circle(0.45, (0.0, 0.75)), 0.3, samples=200)
     n, rod = len(swept), scan3d.Rod(LENGTH, 1e-4)
-    zero = np.zeros(n)
-    recording = scan3d.Recording(
-        sweep=np.zeros(n, dtype=int),
-        position_m=LENGTH * np.column_stack([swept.x0, zero, zero]),
-        quaternion=np.tile([1.0, 0, 0, 0], (n, 1)),
-        force_N=np.column_stack([swept.f0x, swept.f0y]) * rod.force_unit_N,
-        moment_Nm=swept.m0z * rod.moment_unit_Nm,
-        rod=rod,
-        force_z_N=zero,
-        moment_x_Nm=zero,
-        moment_y_Nm=zero,
-    )
+    place, force, moment = np.zeros((3, n, 3))
+    place[:, 0] = LENGTH * swept.x0
+    force[:, :2] = np.column_stack([swept.f0x, swept.f0y]) * rod.force_unit_N
+    moment[:, 2] = swept.m0z * rod.moment_unit_Nm
+    recording = six_axis_recording(rod, np.zeros(n, dtype=int), place, np.tile([1.0, 0, 0, 0], (n, 1)), force, moment)
     cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(recording, model="planar")
     np.testing.assert_array_equal(cloud.row, other.row)
     np.testing.assert_allclose(cloud.points, other.points, atol=1e-9)

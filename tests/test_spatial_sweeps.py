@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import trimesh
 from rods_in_space import (
+    HALF,
+    cuboid,
     curved,
     elastic_energy,
     follows,
@@ -19,10 +20,8 @@ from rods_in_space import (
 )
 
 import planar
-from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
+from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import End, Sweeps, sweep
-
-HALF = np.array([0.3, 0.2, 0.25])
 
 
 class Scene(NamedTuple):
@@ -58,9 +57,7 @@ def past_ellipsoid(seed, friction, bow=0.0):
 def past_cuboid(radius, friction):
     """A fattened cuboid turned askew."""
     rng = np.random.default_rng(5)
-    turn = turned(rng)
-    mesh = trimesh.creation.box(2 * HALF)
-    body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
+    body, turn = cuboid(radius, rng)
     position, clamps = random_paths(body, 40, 48, rng)
 
     def away(points):

@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-import trimesh
-from rods_in_space import curved, random_ellipsoid, random_paths, turned
+from rods_in_space import HALF, cuboid, curved, random_ellipsoid, random_paths
 
-from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
+from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import End, Paths, first_touches, passages, sweep
-
-HALF = np.array([0.3, 0.2, 0.25])
 
 
 def depth_of_ellipsoid(semi_axes, axes):
@@ -91,9 +88,7 @@ def test_ellipsoids(seed):
 )
 def test_cuboids(radius):
     rng = np.random.default_rng(3)
-    turn = turned(rng)
-    mesh = trimesh.creation.box(2 * HALF)
-    body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
+    body, turn = cuboid(radius, rng)
     check(body, depth_of_cuboid(turn, radius), rng, 1e-9)
 
 

@@ -154,7 +154,7 @@ def test_extreme_contours_are_swept_and_found_again(name):
         swept = planar.sweep(contour, friction, samples=30)
         assert (swept.phase != Phase.NONE).all()
         assert contour.distance(swept.point).max() < 1e-12
-        contacts = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+        contacts = planar.reconstruct(*swept.reactions)
         assert (contacts.status[1:] == Status.OK).all()
         off = np.linalg.norm(contacts.point - swept.point, axis=1)[1:].max()
         assert off < (1e-7 if "just" in name else 1e-9)

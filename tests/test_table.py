@@ -6,13 +6,12 @@ import json
 import numpy as np
 import pytest
 from sample_bodies import convex_hausdorff
-from shapes import unit
+from shapes import ball
 from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud
 
 import scan3d
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cli import main
-from scan3d.geometry.hulls import hull
 from scan3d.reconstruction import checked
 from scan3d.session import Session
 from scan3d.simulation.rig import simulate_rig, standing
@@ -21,10 +20,9 @@ from scan3d.surfaces import certificate, enclosure, surface
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 
 
-def body(seed, size=20.0):
+def body(seed):
     """A polyhedron that stands on the table."""
-    vertices = np.random.default_rng(seed).standard_normal((16, 3))
-    return standing(hull(size * unit(vertices) * [1.0, 0.8, 1.1]))
+    return standing(ball(seed, 16, np.array([20.0, 16.0, 22.0])))
 
 
 def swept(mesh, slices=7, samples=40):

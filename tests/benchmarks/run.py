@@ -176,7 +176,7 @@ def inverse(contacts: int) -> list[Line]:
     rows = (("closed-form", contacts), ("scholz-rahn", contacts // 100), ("will", contacts))
 
     def run(method: str, swept: planar.Sweep) -> planar.Contacts:
-        return planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, method)
+        return planar.reconstruct(*swept.reactions, method)
 
     def error(method: str, friction: float) -> float:
         swept = planar.sweep(CIRCLE, friction, samples=SLOW_CONTACTS)
