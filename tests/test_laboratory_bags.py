@@ -75,10 +75,10 @@ class Bag:
         self.put(topic, kind, ns, self.make(kind, [one]))
 
 
-def written(path, generation, log, poses, static=(0,), turned=None):
+def written(path, generation, log, poses, static=(0,), turned=None, parents=("flange",)):
     """A bag with the wrenches of a log at 1 kHz, and its poses by 'pose' or 'tf' at the same times.
 
-    The static transform is published at the rows `static`; `turned` has other quaternions by row, of 'pose'.
+    The static transform is published at the rows `static`, in `parents` in turn; `turned` has quaternions of poses by row.
     """
     values, _ = disturbed(sensed(log.wrench, RIG), RIG)
     bag = Bag(path, generation)
@@ -88,7 +88,8 @@ def written(path, generation, log, poses, static=(0,), turned=None):
         for k, ns in enumerate((START + np.round(log.time * 1e9).astype(np.int64)).tolist()):
             bag.wrench("/ft", ns, values[k])
             if poses == "tf" and k in static:
-                bag.transform("/tf_static", ns, "flange", "clamp", offset, flange.as_quat(scalar_first=True))
+                parent = parents[k % len(parents)]
+                bag.transform("/tf_static", ns, parent, "clamp", offset, flange.as_quat(scalar_first=True))
             if poses == "pose":
                 bag.pose("/tool", ns, log.position[k], (turned or {}).get(k, log.quaternion[k]))
             else:
@@ -149,6 +150,9 @@ def test_topics_that_are_not_there(tmp_path, recording):
         scan3d.import_table(other, made(recording, {"tf": ["wrld", "clamp"]}))
     with pytest.raises(InputError, match=r"nothing moves between 'flange' and 'clamp' in tf"):
         scan3d.import_table(other, made(recording, {"tf": ["flange", "clamp"]}))
+    several = written(tmp_path / "several", 2, log, "tf", static=(0, 1), parents=("flange", "camera"))
+    with pytest.raises(InputError, match=r"several: tf has 'clamp' in several frames, flange, camera, where one is"):
+        scan3d.import_table(several, made(recording, {"tf": ["world", "clamp"]}))
     (tmp_path / "cut.bag").write_bytes((tmp_path / "tf.bag").read_bytes()[:50])
     with pytest.raises(InputError, match=r"can't read the bag .*cut\.bag"):
         scan3d.import_table(tmp_path / "cut.bag", made(recording, {}))

@@ -157,6 +157,19 @@ def test_what_a_map_announces_is_read(tmp_path):
         ([line.replace(",", "  ") for line in lines()], {}),
         ([f'"{line}"'.replace(",", '","') for line in lines()], {}),
         (with_cell(3, "Fy", ""), {"missing": "drop"}),
+        (with_cell(3, "Fy", "N/A"), {"missing": "drop"}),
+        ([lines()[0], *(f"{line}," for line in lines()[1:])], {}),
+        (
+            [
+                re.sub(
+                    r"^([^,]+)", lambda found: str(np.datetime64(round(1e3 * float(found[1])), "ms")) + "+02:00", line
+                )
+                if k
+                else line
+                for k, line in enumerate(lines())
+            ],
+            {},
+        ),
     ]
     for text, table in cases:
         found = import_table(put(tmp_path, text), data() | {"table": table})
@@ -250,8 +263,11 @@ def changed(section, **entries):
         (changed("table", decimal=",", delimiter=","), r"\[table\] decimal and delimiter can't both be ','"),
         (data() | {"unit": "furlong"}, r"map\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
         ({k: v for k, v in data().items() if k != "columns"}, r"map\.toml: \[columns\] is missing; it says which columns hold"),
+        ({"Rod" if k == "rod" else k: v for k, v in data().items()}, r"\[rod\] needs length_m and .*; did you mean Rod\?"),
+        (changed("columns", orientation={"quaterion": []}), r"orientation needs one of .*; did you mean quaternion\?"),
+        ({"columns": {"positon": ["x", "y", "z"]}}, r"\[columns\] position is missing; .*; did you mean positon\?"),
     ],
-    ids=range(16),
+    ids=range(19),
 )  # fmt: skip
 def test_maps(tmp_path, made, sentence):
     (tmp_path / "map.toml").write_text(to_toml(made))

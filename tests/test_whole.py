@@ -321,7 +321,7 @@ def test_what_is_left_behind_is_removed_and_the_work_of_others_is_not(tmp_path, 
 
 @can_fork
 def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
-    """On Lustre and some NFS they raise errors."""
+    """On Lustre and some NFS they raise errors, and so does waiting for the disk on some networks."""
     import fcntl
 
     def refuse(*_, **__):
@@ -329,6 +329,7 @@ def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
 
     for name in ("flock", "lockf", "fcntl"):
         monkeypatch.setattr(fcntl, name, refuse)
+    monkeypatch.setattr(os, "fsync", refuse)
     scan3d.scan(MESHES / "cube.stl", tmp_path, slices=4, sweeps=4, samples=8)
     assert names(tmp_path) == [
         "cloud.ply",

@@ -517,24 +517,15 @@ def _pcd(shape: Shape) -> bytes:
     """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
     fields = {name: shape.rows[name] for name in POINT}
     fields |= {f"normal_{name[1:]}": shape.rows[name] for name in NORMAL} | shape.columns
-    count = len(fields)
-    header = [
-        "# .PCD v0.7 - Point Cloud Data file format",
-        *(f"# {line}" for line in shape.remarks),
-        "VERSION 0.7",
-        f"FIELDS {' '.join(fields)}",
-        f"SIZE {' '.join(['4'] * count)}",
-        f"TYPE {' '.join(['F'] * count)}",
-        f"COUNT {' '.join(['1'] * count)}",
-        f"WIDTH {len(shape.rows)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(shape.rows)}",
-        "DATA binary",
-        "",
-    ]
+    count, points = len(fields), len(shape.rows)
+    remarks = "".join(f"# {line}\n" for line in shape.remarks)
+    header = (
+        f"# .PCD v0.7 - Point Cloud Data file format\n{remarks}VERSION 0.7\nFIELDS {' '.join(fields)}\nSIZE{' 4' * count}\n"
+        f"TYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\n"
+        "DATA binary\n"
+    )
     body = np.stack([column.astype("<f4") for column in fields.values()], axis=1)
-    return "\n".join(header).encode() + body.tobytes()
+    return header.encode() + body.tobytes()
 
 
 def _csv(shape: Shape) -> bytes:
@@ -561,14 +552,10 @@ def _obj(shape: Shape) -> bytes:
     remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
     corners = (map(str, column) for column in (shape.faces + 1).T)
     faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
-    return b"".join(
-        [
-            remarks,
-            rows_as_text(_columns(shape, POINT), " ", "v "),
-            rows_as_text(_columns(shape, NORMAL), " ", "vn "),
-            "".join(faces).encode(),
-        ]
+    points, normals = (
+        rows_as_text(_columns(shape, names), " ", start) for names, start in ((POINT, "v "), (NORMAL, "vn "))
     )
+    return remarks + points + normals + "".join(faces).encode()
 
 
 def to_polydata(shape: Shape) -> Any:

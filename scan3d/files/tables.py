@@ -33,6 +33,8 @@ from scan3d.units import unit_of_cell
 
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
+# What programs write where there is no value, beside nan.
+_NO_VALUE = ("", "na", "n/a", "null", "none", "-", "--")
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,11 @@ class Table:
         if bad.any():
             row = int(np.argmax(bad))
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
-            drop = ', or write missing = "drop" under [table] in the map to leave such rows out' if self.layout else ""
+            drop = (
+                ', or write missing = "drop" under [table] in the map to leave such rows out'
+                if self.layout and self.layout.missing != "drop"
+                else ""
+            )
             raise InputError(
                 f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
                 f"{int(bad.sum())} of {len(values)} rows; complete the table{drop}"
@@ -278,7 +284,7 @@ def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str]
         try:
             values[row] = float(cell)
         except ValueError:
-            if cell.strip() and wrong is None:
+            if cell.strip().lower() not in _NO_VALUE and wrong is None:
                 wrong = row, str(cell)
     return values, wrong
 
@@ -328,6 +334,8 @@ def _cells(
             f"{name}: lines {numbers[0]} to {numbers[-1]} can't be split into cells: {error}; correct them"
         ) from None
     count = count or len(rows[0])
+    # a delimiter after the last cell
+    rows = [row[:count] if len(row) == count + 1 and not row[count].strip() else row for row in rows]
     wrong = next(((number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != count), None)
     if wrong is None:
         return list(zip(*rows, strict=True))

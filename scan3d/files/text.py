@@ -64,7 +64,8 @@ def to_float(value: float) -> float:
 
 def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
     """The last clause of a message on unknown names: the known ones that they resemble, or an empty string."""
-    near = [match for name in unknown for match in get_close_matches(name, list(known), n=1)]
+    names = {name.lower(): name for name in known}
+    near = [names[match] for name in unknown for match in get_close_matches(name.lower(), list(names), n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
 
 
@@ -76,8 +77,8 @@ REQUIRED: Any = object()
 class Section:
     """A table of a TOML file whose entries are taken by name; those without a default must be there."""
 
-    def __init__(self, file: str, data: Mapping[str, Any], name: str = "") -> None:
-        self.file, self.data, self.name = file, data, name
+    def __init__(self, file: str, data: Mapping[str, Any], name: str = "", near: str = "") -> None:
+        self.file, self.data, self.name, self._near = file, data, name, near
         self._asked: dict[str, None] = {}
         self._inner: list[Section] = []
 
@@ -88,7 +89,8 @@ class Section:
         return bool(self.data)
 
     def error(self, key: str, sentence: str) -> InputError:
-        """The error of an entry, or of the whole table if `key` is empty."""
+        """The error of an entry, or of the whole table if `key` is empty; where that is missing, with a name that is near."""
+        sentence += (self._likely(key) if self.data else self._near) if key not in self.data else ""
         return InputError(" ".join(filter(None, (f"{self.file}:", self.name and f"[{self.name}]", key, sentence))))
 
     @contextmanager
@@ -118,8 +120,7 @@ class Section:
         """The value of an entry, or its default.  Raises InputError if it has neither, and for one that is not right."""
         value = self.any(key, default)
         if value is REQUIRED:
-            others = [name for name in self.data if name not in self._asked]
-            raise self.error(key, f"is missing{did_you_mean([key], others)}")
+            raise self.error(key, "is missing")
         if key in self.data and not is_right(value):
             raise self.error(key, f"must be {what}, got {value!r}")
         return value
@@ -133,8 +134,12 @@ class Section:
 
     def section(self, key: str) -> Section:
         """A table within this one, with entries of its own; an empty one if it is not there."""
-        self._inner.append(Section(self.file, self.notes(key), self._path(key)))
+        near = "" if key in self.data else self._likely(key)
+        self._inner.append(Section(self.file, self.notes(key), self._path(key), near))
         return self._inner[-1]
+
+    def _likely(self, key: str) -> str:
+        return did_you_mean([key], [name for name in self.data if name not in self._asked])
 
     def _path(self, key: str) -> str:
         return f"{self.name}.{key}" if self.name else key

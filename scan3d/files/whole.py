@@ -291,15 +291,15 @@ def _move(place: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk; not every system can do that for a folder."""
+    """Wait until a file, or the names in a folder, are on the disk, where the system can do that."""
     is_folder = path.is_dir()
     if is_folder and os.name == "nt":
         return
     handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
     try:
         os.fsync(handle)
-    except OSError:
-        if not is_folder:
+    except OSError as error:
+        if not is_folder and error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):
             raise
     finally:
         os.close(handle)

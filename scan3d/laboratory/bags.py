@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.tables import Table
+from scan3d.files.tables import Layout, Table
 from scan3d.files.text import check_readable, did_you_mean
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
     seconds = (stamps - stamps[known][0]) * 1e-9
     table = np.column_stack([seconds, position, quaternion, values])[known]
     columns = tuple(np.ascontiguousarray(column) for column in table.T)
-    return Table(path.name, NAMES, columns, left_out={"without a pose": int((~known).sum())})
+    return Table(path.name, NAMES, columns, layout=Layout(), left_out={"without a pose": int((~known).sum())})
 
 
 def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
@@ -169,9 +169,9 @@ def _poses(stamps: list[int], values: list[tuple[float, ...]]) -> _Poses:
 
 
 class _Edge(NamedTuple):
-    """What tf says of a frame in its parent."""
+    """What tf says of a frame in its parent, of which there should be one."""
 
-    parent: str
+    parents: dict[str, None]
     stamps: list[int]
     values: list[tuple[float, ...]]
 
@@ -185,7 +185,8 @@ def _transforms(name: str, reader: Any) -> dict[str, _Edge]:
             for one in message.transforms:
                 parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
                 where = f"{name}: message {number} of {topic}, from {parent!r} to {child!r},"
-                edge = edges.setdefault(child, _Edge(parent, [], []))
+                edge = edges.setdefault(child, _Edge({}, [], []))
+                edge.parents[parent] = None
                 values = _pose(where, one.transform.translation, one.transform.rotation)
                 if is_static:
                     edge.stamps.clear()
@@ -201,14 +202,19 @@ def _by_tf(name: str, edges: dict[str, _Edge], world: str, clamp: str) -> _Poses
     frame = clamp.lstrip("/")
     while frame != world.lstrip("/") and frame in edges and len(chain) <= len(edges):
         edge = edges[frame]
+        if len(edge.parents) > 1:
+            raise InputError(
+                f"{name}: tf has {frame!r} in several frames, {', '.join(edge.parents)}, where one is expected; record the bag "
+                "with one of their publishers, or name other frames as tf under [ros] of the map"
+            )
         unchanged = len(set(edge.values)) == 1
         chain.append(_poses(edge.stamps[:1], edge.values[:1]) if unchanged else _poses(edge.stamps, edge.values))
-        frame = edge.parent
+        (frame,) = edge.parents
     if frame != world.lstrip("/"):
-        known = sorted({*edges, *(edge.parent for edge in edges.values())})
+        known = sorted({*edges, *(parent for edge in edges.values() for parent in edge.parents)})
         raise InputError(
-            f"{name}: tf has no chain from {world!r} to {clamp!r}, which [ros] tf of the map names; it has "
-            f"{', '.join(known) or 'no frames'}{did_you_mean([world, clamp], known)}"
+            f"{name}: tf has no chain from {world!r} to {clamp!r}, which [ros] tf of the map names as world and clamp; it has "
+            f"{', '.join(known) or 'no frames'}{did_you_mean(sorted({world, clamp} - {*known}), known)}"
         )
     moving = [poses for poses in chain if len(poses.time) > 1]
     if not moving:

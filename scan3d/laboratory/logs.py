@@ -7,6 +7,7 @@ without contact is a sweep as well, because it shows that nothing is there.  Swe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -151,7 +152,7 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
             "from 1, or the line of the names as header under [table]"
         )
     bare, sign = (reference[1:], -1.0) if reference.startswith("-") and reference not in names else (reference, 1.0)
-    found = [k for k, name in enumerate(names) if name == bare]
+    found = [k for k, name in enumerate(names) if name == bare.strip()]
     if len(found) == 1:
         return found[0], sign
     line = f"{table.name}: line {table.layout.header}" if table.layout and table.layout.header else table.name
@@ -228,7 +229,8 @@ def _time(table: Table, map: Map, reference: Reference) -> Array:
     values = table.columns[column]
     if values.dtype.kind != "f" and "-" in str(values[0])[1:]:
         try:
-            stamps = values.astype(str).astype("datetime64[ns]")
+            # without the zone, which is that of the whole log
+            stamps = np.array([re.sub(r"Z$|[+-]\d\d:?\d\d$", "", str(one)) for one in values], dtype="datetime64[ns]")
             return np.asarray((stamps - stamps[0]).astype(np.int64) * 1e-9)
         except ValueError:
             pass
@@ -482,9 +484,9 @@ def check_directions(
     )
     if axis == "+x":
         advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'
+    way = "in no straight stroke" if axis == "-x" else f"mostly along {axis} of its own frame, and not"
     raise InputError(
-        f"{where}: the clamp moves {'in contact ' if elsewhere else ''}mostly along {axis} of its own frame, and not "
-        f"along -x as in a sweep; in {map.name} {advice}"
+        f"{where}: the clamp moves {'in contact ' if elsewhere else ''}{way} along -x as in a sweep; in {map.name} {advice}"
     )
 
 

@@ -255,10 +255,10 @@ def _transducer(
             )
         return (), ()
     rows, count = section.any("matrix"), len(signals)
-    right = (
-        isinstance(rows, (list, tuple)) and len(rows) in (3, 6) and all(isinstance(row, (list, tuple)) for row in rows)
-    )
-    if not right or not all(len(row) == count and all(map(is_finite, row)) for row in rows):
+    right = isinstance(rows, (list, tuple)) and len(rows) in (3, 6)
+    if not right or not all(
+        isinstance(row, (list, tuple)) and len(row) == count and all(map(is_finite, row)) for row in rows
+    ):
         raise section.error(
             "matrix",
             f"must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with {count} numbers, one for "
@@ -297,9 +297,8 @@ def _orientation(section: Section) -> Orientation:
     inner = section.section("orientation")
     kinds = [kind for kind in ORIENTATIONS if kind in inner]
     if len(kinds) != 1:
-        raise section.error(
-            "orientation", f"needs one of {', '.join(ORIENTATIONS)}, such as {{quaternion = ['qw', 'qx', 'qy', 'qz']}}"
-        )
+        what = f"one of {', '.join(ORIENTATIONS)}, such as {{quaternion = ['qw', 'qx', 'qy', 'qz']}}"
+        raise section.error("orientation", f"needs {what}{did_you_mean(inner.data, ORIENTATIONS)}")
     kind = kinds[0]
     if kind == "quaternion":
         return Orientation(kind, _references(inner, kind, (4,)), order=inner.word("order", ("wxyz", "xyzw")))
