@@ -592,10 +592,10 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     except InputError:
         return None  # the reader of meshes says what is wrong
     stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
-    if not stated:  # of another program
-        if faces is not None:
+    if not stated:  # of another program, whose clouds may declare no faces
+        if faces is not None and len(faces):
             return None
-        rows = rows[[name for name in POINT + NORMAL if name in (rows.dtype.names or ())]]
+        rows, faces = rows[[name for name in POINT + NORMAL if name in (rows.dtype.names or ())]], None
     if not {*POINT} <= {*(rows.dtype.names or ())}:
         raise InputError(f"{path.name} has no points: expected the columns x, y and z")
     if not len(rows) or not np.isfinite(columns(rows, *POINT)).all():
