@@ -65,7 +65,7 @@ def typical(scale=1.0, six=True):
     return RigUncertainty(tuple(RIG_QUANTITIES[k] for k in kept), (covariance + covariance.T) / 2)
 
 
-def calibrated(seed, sweeps=8, samples=60, truth=None):
+def calibrated(seed, sweeps, samples=60):
     """A calibration by few touches of a sphere, and the true rig."""
-    truth = truth or rigs.Truth()
+    truth = rigs.Truth()
     return scan3d.calibrate(rigs.recorded(truth, seed, sweeps=sweeps, samples=samples), rigs.DIAMETER), truth

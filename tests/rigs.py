@@ -172,7 +172,7 @@ def logged(truth, sweep, position, axes, force, moment, rng, *, rod=ROD, stated=
     return six_axis_recording(rod, sweep, place, quaternion, wrench[:, :3], wrench[:, 3:], **known)
 
 
-def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=swept, **raster):
+def recorded(truth=None, seed=0, *, stated=True, pink=0.0, motion=swept, **raster):
     """The recording of a rig; `motion` gives the exact sweeps."""
     truth = Truth() if truth is None else truth
     position, axes, force, moment, _ = motion(length=truth.length, **raster)
@@ -185,7 +185,6 @@ def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=s
         force.reshape(-1, 3) * truth.stiffness / truth.length**2,
         moment.reshape(-1, 3) * truth.stiffness / truth.length,
         np.random.default_rng(seed),
-        rod=nominal,
         stated=stated,
         pink=pink,
         mixed=np.random.default_rng([seed, 36]).normal(size=(6, 6)),

@@ -10,8 +10,7 @@ from scipy.spatial import ConvexHull
 import scan3d
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
-from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.slices import stacks
+from tests.shapes import unit
 
 MESHES = Path(__file__).parents[1] / "meshes"
 _spec = importlib.util.spec_from_file_location("make_meshes", MESHES / "make_meshes.py")
@@ -23,8 +22,7 @@ _spec.loader.exec_module(formulas)
 def random_body(seed):
     """Polytopes, ellipsoids, their Minkowski sums, needles and discs, in random orientations."""
     rng = np.random.default_rng(seed)
-    directions = rng.normal(size=(400, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    directions = unit(rng.normal(size=(400, 3)))
     kind = seed % 4
     polytope = rng.normal(size=(12, 3))
     ellipsoid = directions * [1.0, 0.7, 0.5]
@@ -52,17 +50,6 @@ def scanned(mesh, **plan):
     return scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(**{"slices": 24, "friction": (0.0, 0.4), **plan})))
 
 
-def one_stack(mesh, **plan):
-    """The slices of a scan along one axis."""
-    (stack,) = stacks(contacts(scan3d.simulate(mesh, scan3d.Plan(**plan))))
-    return stack
-
-
 def convex_hausdorff(first, second):
     """Hausdorff distance of two convex surfaces: the largest distance of a vertex of either from the other one."""
     return max(np.abs(signed_distances(a.vertices, b)).max() for a, b in ((first, second), (second, first)))
-
-
-def outside(points, body):
-    """Distances (n,) of points (n, 3) from a convex body, 0 inside."""
-    return np.maximum(signed_distances(points, body), 0.0)

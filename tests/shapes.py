@@ -118,6 +118,11 @@ def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
+def directions(count, seed=3):
+    """Unit vectors (count, 3)."""
+    return unit(np.random.default_rng(seed).standard_normal((count, 3)))
+
+
 def spread(mesh, steps):
     """Points (m, 3) all over a mesh: the nodes of a grid on each face."""
     i, j = np.mgrid[: steps + 1, : steps + 1].reshape(2, -1) / steps

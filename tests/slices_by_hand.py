@@ -36,13 +36,11 @@ def slice_of(polygon, height, edges=None):
     )
 
 
-def rectangle(x, y=None):
-    """Vertices (4, 2) of a rectangle about the origin, with half lengths x and y."""
-    y = x if y is None else y
-    return np.array([(-x, -y), (x, -y), (x, y), (-x, y)], dtype=float)
+def square(half):
+    """Vertices (4, 2) of a square about the origin."""
+    return half * np.array([(-1.0, -1), (1, -1), (1, 1), (-1, 1)])
 
 
-def stack_of_rectangles(heights, halves, floor=-np.inf, ceiling=np.inf, bounded_by_others=(False, False), frame=None):
-    """A stack of rectangles, or squares, with the given half lengths."""
-    slices = tuple(slice_of(rectangle(*np.atleast_1d(half)), z) for z, half in zip(heights, halves, strict=True))
-    return SliceStack(np.eye(3) if frame is None else frame, slices, floor, ceiling, bounded_by_others)
+def stack_of_squares(heights, halves, floor, ceiling):
+    slices = tuple(slice_of(square(half), z) for z, half in zip(heights, halves, strict=True))
+    return SliceStack(np.eye(3), slices, floor, ceiling)

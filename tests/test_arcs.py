@@ -29,10 +29,10 @@ BODIES = {
 }
 
 
-def arcs_of(cloud, errors=1e-9, turns=0.0, spread=None):
+def arcs_of(cloud, errors=1e-9, turns=0.0):
     rows = np.flatnonzero(cloud.phase == Phase.TANGENTIAL)
     vertices, edges = edges_of(ConvexHull(cloud.centre_points))
-    places = Places(cloud.centre_points, np.full(len(cloud), errors), spread)
+    places = Places(cloud.centre_points, np.full(len(cloud), errors))
     turn = np.full(len(rows), turns)
     return rows, arcs_at(places.select(rows), cloud.tangents[rows], turn, places.select(vertices), edges)
 
@@ -96,11 +96,10 @@ def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
     assert left.volume < 0.9 * 8 * 1.2**3
 
 
-def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
+def planes_of_ball(count, half_width):
     """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     normals = unit(rng.normal(size=(count, 3)))
-    normals = normals[seen(normals)]
     across = unit(np.cross(normals, rng.normal(size=normals.shape)))
     off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
     middle = np.cos(off) * normals + np.sin(off) * across

@@ -65,15 +65,13 @@ def call(capsys, monkeypatch):
     return run
 
 
-def rows_of(folder, *, times=False, meshes=True):
-    """The rows of a summary, without the times unless asked for, and without the places of the meshes."""
+def rows_of(folder, *, times=False):
+    """The rows of a summary, without the times unless asked for."""
     with open(folder / "summary.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
         if not times:
             del row["seconds"]
-        if not meshes:
-            del row["mesh"]
     return rows
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import random_body
-from slices_by_hand import rectangle, slice_of, stack_of_rectangles
+from slices_by_hand import slice_of, square, stack_of_squares
 
 import scan3d
 from scan3d.bounds import enclosure
@@ -72,17 +72,13 @@ def test_a_box_is_found_exactly(frame):
     assert bounds.bound < 1e-5 * np.linalg.norm(mesh.extents)
 
 
-def pyramid(floor, ceiling, bounded_by_others=(False, False)):
-    """Squares of half lengths 4, 3, 2, 1 at heights 0, 1, 2, 3: a pyramid with its apex at the height 4."""
-    return stack_of_rectangles([0.0, 1.0, 2.0, 3.0], [4.0, 3.0, 2.0, 1.0], floor, ceiling, bounded_by_others)
-
-
 def volume_of_frustum(low, high):
     return ((2 * (4 - low)) ** 3 - (2 * (4 - high)) ** 3) / 6
 
 
 def test_the_slabs_of_a_pyramid():
-    parts = slabs(pyramid(-1.0, 3.5))
+    """Its apex is at the height 4."""
+    parts = slabs(stack_of_squares(np.arange(4.0), [4, 3, 2, 1], -1.0, 3.5))
     limits = [(-1.0, 0.0), (0.0, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 3.5)]
     # in the plane of a slice whose half-spaces bound the slab the corners lie between contacts
     kinds = [
@@ -106,7 +102,7 @@ def test_the_slabs_of_a_pyramid():
     ("half_lengths", "straight"), [([7, 6, 5, 4, 3, 2, 1], True), ([4, 4.9, 5.3, 5.4, 5.3, 4.9, 4], False)]
 )
 def test_walls_go_on_straight_where_three_slices_agree(half_lengths, straight):
-    parts = slabs(stack_of_rectangles(np.arange(7.0), np.array(half_lengths, dtype=float), -1.0, 7.5))
+    parts = slabs(stack_of_squares(np.arange(7.0), half_lengths, -1.0, 7.5))
     assert (parts[3].straight.any(axis=1) == straight).all()
     # a corner in the plane of an end slice means only that the body may end there
     assert not parts[1].straight[parts[1].corners[:, 2] < 0.1].any()
@@ -115,7 +111,7 @@ def test_walls_go_on_straight_where_three_slices_agree(half_lengths, straight):
 @pytest.mark.parametrize("edges", [[0, 1, 2], [1, 2, 3], [0, 2], [1, 3]])
 def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
     """Squares of which one side, or two, are not touched: the half-spaces have room inside, and do not close."""
-    slices = tuple(slice_of(rectangle(2.0), z, edges=edges) for z in range(4))
+    slices = tuple(slice_of(square(2.0), z, edges=edges) for z in range(4))
     parts = slabs(SliceStack(np.eye(3), slices, -1.0, 4.0))
     kinds = [Gap.CAPS, Gap.SLICES, Gap.SLICES, Gap.SLICES, Gap.CAPS]
     for part, kind in zip(parts, kinds, strict=True):

@@ -33,6 +33,11 @@ def example(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
+def check_picture(script: ModuleType, tmp_path: Path, *options: str) -> None:
+    script.main([*options, "--out", str(tmp_path / "a.png")])
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.slow
 def test_scripts_draw_whose_own_tests_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     reaches = example("what_a_rod_reaches")
@@ -120,8 +125,7 @@ def test_error_by_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert [len(axes.lines) for axes in figure.axes] == [len(script.METHODS) + 2] * 2
     measured = {(script.QUICK_SLICES, script.QUICK_SUBDIVISIONS): errors}
     monkeypatch.setattr(script, "measure", lambda *setting: measured[setting])
-    script.main(["--quick", "--out", str(tmp_path / "errors.png")])
-    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path, "--quick")
 
 
 @pytest.mark.trust
@@ -136,8 +140,7 @@ def test_rig_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measured, exact = results.values()
     assert measured[-1, 1] < 1.5 * exact[-1, 1]
     monkeypatch.setattr(script, "measure", lambda batches: results)
-    script.main(["--quick", "--out", str(tmp_path / "loop.png")])
-    assert (tmp_path / "loop.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path, "--quick")
 
 
 def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,8 +156,7 @@ def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     scaled = script.ERROR / script.DEVIATION[script.RELIABLE]
     assert np.sqrt(np.mean(scaled**2)) == pytest.approx(1, abs=4 / np.sqrt(2 * len(scaled)))
     assert abs(scaled.mean()) < 4 / np.sqrt(len(scaled))
-    script.main(["--out", str(tmp_path / "friction.png")])
-    assert (tmp_path / "friction.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
     assert "have a reliable friction" in capsys.readouterr().out
 
 
@@ -197,8 +199,7 @@ def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
         np.testing.assert_allclose(getattr(found, name), getattr(made, name), rtol=1e-14)
 
     monkeypatch.setattr(script.scanned, "__defaults__", (4,))
-    script.main(["--out", str(tmp_path / "own.png")])
-    assert (tmp_path / "own.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
     certified, known = (
         float(line) for line in re.findall(r"within ([0-9.e-]+) mm[;,] volume", capsys.readouterr().out)
     )
@@ -217,8 +218,7 @@ def test_rod_for_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     # a longer rod makes smaller forces and larger errors
     assert (np.diff(force, axis=0) < 0).all()
     assert (np.diff(error[:, 2:], axis=0) > 0).all()
-    script.main(["--out", str(tmp_path / "rod.png")])
-    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == error.size
 
 
@@ -242,8 +242,7 @@ def test_what_planarity_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         # and already in a slice nearly in the middle
         assert cost.median[at[0.02]] == pytest.approx(0.004, abs=0.0005)
     assert max(cost.out_of_plane[between].max() for cost in script.COSTS.values()) == pytest.approx(0.4, abs=0.01)
-    script.main(["--out", str(tmp_path / "costs.png")])
-    assert (tmp_path / "costs.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 2 + 4 * len(script.HEIGHTS)
 
 
@@ -263,8 +262,7 @@ def test_sphere_off_equator(tmp_path: Path) -> None:
     assert not script.SWEPT.snapped.any()
     largest = np.nanmax(script.FORCE, axis=1)
     assert (np.array([force[np.isfinite(force)][-1] for force in script.FORCE]) < 0.05 * largest).all()
-    script.main(["--out", str(tmp_path / "sphere.png")])
-    assert (tmp_path / "sphere.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
 
 
 @pytest.mark.slow
@@ -279,6 +277,5 @@ def test_rod_that_slides_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     for friction, deviation in script.ON_SPHERE.items():
         known = np.isfinite(deviation)
         np.testing.assert_allclose(script.ESTIMATES[friction][known], deviation[known], rtol=0.3)
-    script.main(["--out", str(tmp_path / "rod.png")])
-    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
+    check_picture(script, tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == len(script.FRICTIONS) + len(script.RATIOS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
-from shapes import unit
+from shapes import directions, unit
 
 from scan3d.arrays import highest
 from scan3d.errors import InputError
@@ -25,12 +25,6 @@ from scan3d.geometry.hulls import (
 
 RNG = np.random.default_rng(11)
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
-
-
-def directions(count, seed=3):
-    """Unit vectors (count, 3)."""
-    vectors = np.random.default_rng(seed).standard_normal((count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
 @pytest.mark.parametrize("shift", [0.0, 1000.0])
@@ -64,8 +58,7 @@ def test_the_hull_from_a_mesh_that_is_nearly_convex_is_the_hull(monkeypatch, mov
     ball = trimesh.creation.icosphere(subdivisions=3)
     points, faces = ball.vertices.view(np.ndarray) @ TURN.T, ball.faces.view(np.ndarray)
     if move == "shifted":
-        points = points + 0.05 * directions(len(points))
-        points /= np.linalg.norm(points, axis=1)[:, None]
+        points = unit(points + 0.05 * directions(len(points)))
     points = points * [1.0, 2.0, 0.3] + [5.0, 0.0, 0.0]
     if move == "dented":
         points[100] *= 0.98

@@ -75,10 +75,10 @@ class Bag:
         self.put(topic, kind, ns, self.make(kind, [one]))
 
 
-def written(path, generation, log, poses, static=(0,), turned=None, parents=("flange",)):
+def written(path, generation, log, poses, static=(0,), parents=("flange",)):
     """A bag with the wrenches of a log at 1 kHz, and its poses by 'pose' or 'tf' at the same times.
 
-    The static transform is published at the rows `static`, in `parents` in turn; `turned` has quaternions of poses by row.
+    The static transform is published at the rows `static`, in `parents` in turn.
     """
     values, _ = disturbed(sensed(log.wrench, RIG), RIG)
     bag = Bag(path, generation)
@@ -91,7 +91,7 @@ def written(path, generation, log, poses, static=(0,), turned=None, parents=("fl
                 parent = parents[k % len(parents)]
                 bag.transform("/tf_static", ns, parent, "clamp", offset, flange.as_quat(scalar_first=True))
             if poses == "pose":
-                bag.pose("/tool", ns, log.position[k], (turned or {}).get(k, log.quaternion[k]))
+                bag.pose("/tool", ns, log.position[k], log.quaternion[k])
             else:
                 turn = Rotation.from_quat(log.quaternion[k], scalar_first=True) * flange.inv()
                 place = log.position[k] - turn.apply(offset)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import formulas
+from shapes import unit
 
 import planar
 import scan3d
@@ -45,8 +46,7 @@ def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
     name, _, cloud = smooth
     for stack in stacks(cloud):
         for section, (slope, _) in zip(stack.slices[::7], height_slopes(stack)[::7], strict=True):
-            normals = np.column_stack([section.normals, -slope]) @ stack.frame
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            normals = unit(np.column_stack([section.normals, -slope]) @ stack.frame)
             exact = formulas.normal(name, cloud.points[section.rows[section.tangential]])
             assert np.median(degrees_between(normals, exact)) < 0.6
 

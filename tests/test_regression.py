@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from sample_bodies import MESHES
 from scipy.spatial.transform import Rotation
+from shapes import unit
 
 import scan3d
 from scan3d.geometry.distance import distances
@@ -48,8 +49,7 @@ def test_the_planes_of_a_box_are_found_within_their_standard_errors():
 @pytest.mark.slow
 def test_a_ball_is_fitted_by_many_planes_and_less_noise_by_more():
     chance = np.random.default_rng(3)
-    directions = chance.normal(size=(8000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = unit(chance.normal(size=(8000, 3)))
     found = []
     for sd in (0.4, 0.1):
         points = 20 * directions + chance.normal(0, sd, directions.shape)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from raw_tables import Rig, map_of, table, track, write
+from shapes import unit
 from small_scans import EGG
 
 import scan3d
@@ -21,8 +22,7 @@ def spatial():
 
 def ring(wrench, angle, damping, size, length, rows, turn=0.0):
     """(rows, 6) what a rod shows that is let go while `wrench` (6,) bends it; `turn` is the part of a swing across that."""
-    moment = wrench[3:] * [1, 0, 1]
-    moment /= np.linalg.norm(moment)
+    moment = unit(wrench[3:] * [1, 0, 1])
     across, rod = np.cross(moment, [0, 1, 0]), np.array([0, 1, 0])
     row = np.arange(1, rows + 1)[:, None]
     swing = np.exp(-damping * angle * row) * (np.cos(angle * row) * moment + turn * np.sin(angle * row) * across)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from raw_tables import POSED, si_map
+from shapes import unit
 
 import planar
 import scan3d
@@ -92,8 +93,7 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
     # reactions of a rod in any orientation under its weight, by the march itself with the contact's moment for its start
     rod = replace(CONE, curvature_per_m=(-3.0, 2.0, 4.0), weight_N=0.001)
     rng, n = np.random.default_rng(0), 40
-    quaternion = rng.normal(size=(n, 4))
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    quaternion = unit(rng.normal(size=(n, 4)))
     force, moment = rng.normal(size=(2, n, 3)) * [[[0.3, 0.1, 0.3]], [[0.25, 0.03, 0.25]]]
     position = rng.normal(size=(n, 3)) * 0.01
     gravity = Gravity((0.0, 0.0, -2.0), tared=False)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from shapes import unit
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 from spatial_scans import SEMI_AXES
 
@@ -194,8 +195,7 @@ def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
         check_lengths(sweep, ellipsoid)
         # past a tangential contact the rod goes straight on along its tangent, and stays outside of the body
         tangential = cloud.phase[rows] == planar.Phase.TANGENTIAL
-        rest = np.diff(sweep.straight, axis=1)[tangential, 0]
-        rest /= np.linalg.norm(rest, axis=1, keepdims=True)
+        rest = unit(np.diff(sweep.straight, axis=1)[tangential, 0])
         assert rest == pytest.approx(cloud.tangents[rows][tangential], abs=1e-6)
         semi_axes = np.array(SEMI_AXES) * 50  # mm
         assert (np.linalg.norm(sweep.rods.reshape(-1, 3) / semi_axes, axis=1) > 1.0).all()

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import one_stack, random_body
+from sample_bodies import random_body
 from scipy.optimize import linprog
-from slices_by_hand import rectangle, slice_of
+from slices_by_hand import slice_of, square
 
 import scan3d
 from scan3d.reconstruction.contacts import contacts
@@ -74,7 +74,7 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     a, b = 10.0, 6.0
     mesh = trimesh.creation.cylinder(1.0, 40.0, sections=1000)
     mesh.apply_scale((a, b, 1.0))
-    stack = one_stack(mesh, slices=3, samples=16, sweeps=4)
+    (stack,) = stacks(contacts(scan3d.simulate(mesh, scan3d.Plan(slices=3, samples=16, sweeps=4))))
     exact = np.hypot(a * np.cos(ANGLES), b * np.sin(ANGLES))
     for section in stack.slices:
         assert 20 < len(section.angle) < 80
@@ -100,5 +100,5 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     ],
 )
 def test_a_slice_is_closed_if_its_normals_leave_no_gap_of_half_a_turn(degrees, closed):
-    section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), angle=np.radians(np.sort(np.array(degrees, float))))
+    section = dataclasses.replace(slice_of(square(1.0), 0.0), angle=np.radians(np.sort(np.array(degrees, float))))
     assert section.closed == closed

@@ -67,8 +67,7 @@ def test_wrong_normals_make_the_bound_larger_not_false():
     body, radius = Ellipsoid(np.array([1.0, 0.8, 0.6])), 0.05
     cloud = spatial_cloud(body, 2000, 5, radius)
     rng = np.random.default_rng(0)
-    normals = cloud.normals + 0.3 * rng.normal(size=cloud.normals.shape)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = unit(cloud.normals + 0.3 * rng.normal(size=cloud.normals.shape))
     assert cloud.centre_points is not None
     wrong = dataclasses.replace(cloud, normals=normals, points=cloud.centre_points - radius * normals)
     bounds = enclosure(wrong)

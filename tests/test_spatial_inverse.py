@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rods_in_space import FRICTION_03, FRICTIONLESS, table
 from scipy.spatial.transform import Rotation
+from shapes import unit
 
 import planar
 from scan3d.spatial.inverse import Status, errors, reconstruct
@@ -42,8 +43,7 @@ def test_frictionless_reference_contacts_have_the_ellipsoids_normal():
     for x0, r1, _, f0, (m0x, m0z) in parts(FRICTIONLESS):
         found = reconstruct([f0], [(m0x, 0.0, m0z)])
         # below the body's centre (0, 1.075, 0); the force on the rod is along the outward normal
-        normal = (np.array(r1) - [0, 1.075, 0]) / np.square([0.9, 0.675, 0.45])
-        normal /= np.linalg.norm(normal)
+        normal = unit((np.array(r1) - [0, 1.075, 0]) / np.square([0.9, 0.675, 0.45]))
         np.testing.assert_allclose(found.force[0] / np.linalg.norm(found.force[0]), normal, atol=1e-6)
         assert abs(found.friction_angle_bound[0]) < 1e-6
         assert x0 > 0

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from shapes import unit
 from small_scans import CUBE, undrawn
 
 import scan3d
@@ -47,8 +48,7 @@ def test_rasters_cross_the_body(cube):
 
 def test_sweeps_are_aimed_at_a_missing_corner():
     rng = np.random.default_rng(0)
-    points = rng.normal(size=(4000, 3))
-    points /= np.linalg.norm(points, axis=1)[:, None]
+    points = unit(rng.normal(size=(4000, 3)))
     towards = np.array([0.6, 0.0, 0.8])
     felt = points[points @ towards < 0.9]
     lines = aims.aimed(felt, felt, 5, rng)

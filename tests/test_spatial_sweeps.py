@@ -18,6 +18,7 @@ from rods_in_space import (
     slip,
     turned,
 )
+from shapes import unit
 
 import planar
 from scan3d.spatial.bodies import Ellipsoid
@@ -107,8 +108,7 @@ def test_contacts_lie_on_the_body_with_its_normal(scene):
     touching = np.isfinite(scene.result.s1)
     point = scene.result.point[touching]
     assert np.abs(scene.gap(point)).max() < scene.exact
-    normal = scene.outward(point)
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    normal = unit(scene.outward(point))
     assert np.abs(normal - scene.result.normal[touching]).max() < 2e-10
 
 

@@ -3,16 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from shapes import unit
+from shapes import directions
 
 from scan3d.geometry.support import fit_support, fitted_body
 
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
-
-
-def directions(count, seed=3):
-    """Unit vectors (count, 3)."""
-    return unit(np.random.default_rng(seed).standard_normal((count, 3)))
 
 
 CENTER = np.array([3.0, -2.0, 7.0])

@@ -14,14 +14,11 @@ bound, false
 reach
     share in per cent of the truth within reach: a contact lies no farther from it than the slices are apart.  Mean and largest
     distance of these places from the carved surface and from the hull of the contacts follow, in per cent of the diagonal.
-seconds
-    of processor time, all processes together, for the recording, its contacts and the surface.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -269,18 +266,14 @@ def main() -> None:
         friction=friction[0] if len(friction) == 1 else friction,
     )
     print(
-        "body         facets contacts  wrong share %   worst   two  told  lost   bound false reach carved        hull   seconds"
+        "body         facets contacts  wrong share %   worst   two  told  lost   bound false reach carved        hull"
     )
     for name in given.names or EVERYDAY:
         mesh = EVERYDAY[name]()
-        times = [sum(os.times()[:4])]
         try:
             recording, places, outlines = simulated(mesh, plan)
-            times.append(sum(os.times()[:4]))
             cloud = scan3d.reconstruct(recording)
-            times.append(sum(os.times()[:4]))
             surface = carved(recording, cloud).surface
-            times.append(sum(os.times()[:4]))
         except scan3d.InputError as error:
             print(f"{name:12} refused: {error}", flush=True)
             continue
@@ -294,7 +287,7 @@ def main() -> None:
             f"{name:12} {len(mesh.faces):6d} {len(cloud):8d} {wrong.sum():6d} {100 * wrong.mean():7.3f} "
             f"{off.max(initial=0) / cloud.rod_length:7.4f} {two:5d} {100 * (1 - missed / max(two, 1)):5.1f} "
             f"{100 * (~found[places == 1]).sum() / max(one, 1):5.2f} {false_slices(outlines, recording, cloud)} "
-            f"{within_reach(mesh, recording, cloud, surface)} {np.round(np.diff(times), 1)}",
+            f"{within_reach(mesh, recording, cloud, surface)}",
             flush=True,
         )
 

@@ -16,7 +16,6 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -26,9 +25,6 @@ import scipy
 from numpy.typing import NDArray
 
 import planar
-from planar.rods import Profile
-from scan3d.spatial.march import SpatialRod
-from scan3d.spatial.march import contacts as marched
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import shooting
@@ -190,48 +186,6 @@ def inverse(contacts: int) -> list[Line]:
     ]
 
 
-def other_rods(contacts: int) -> list[Line]:
-    """Step 2 of rods that are marched, errors as before, in the plane and, with all six reactions, in space."""
-    shaped, heavy = dict(tip_diameter=0.5, curvature=-0.3), dict(tip_diameter=0.5, weight=0.1, gravity=(0.6, -0.8))
-    thinner = Profile((0.0, 1.0), (1.0, 0.5))
-
-    def run(rod: planar.Rod | SpatialRod, swept: planar.Sweep) -> Array:
-        reactions = swept.f0x, swept.f0y, swept.m0z
-        if isinstance(rod, planar.Rod):
-            return planar.reconstruct(swept.x0, *reactions, rod=rod).point
-        force, moment = np.zeros((2, 3, len(swept.x0)))
-        force[0], force[1], moment[2] = reactions
-        down = np.tile([[0.6], [-0.8], [0.0]], len(swept.x0))
-        return marched(rod, force, moment, down).point[:2].T + np.stack([swept.x0, 0 * swept.x0], axis=1)
-
-    rows = (
-        ("arc, closed form", planar.Rod(curvature=-0.3), planar.Rod(curvature=-0.3), contacts // 10),
-        ("taper and curvature", planar.Rod(**shaped), planar.Rod(**shaped), contacts // 10),
-        ("taper and weight", planar.Rod(**heavy), planar.Rod(**heavy), contacts // 30),
-        ("the former in space", planar.Rod(**shaped), SpatialRod(thinner, (-0.3, 0.0, 0.0)), contacts // 10),
-        ("the latter in space", planar.Rod(**heavy), SpatialRod(replace(thinner, weight=0.1)), contacts // 30),
-    )
-    swept = [
-        [planar.sweep(CIRCLE, friction, samples=n, rod=rod) for friction in (0.0, FRICTION)] for _, rod, _, n in rows
-    ]
-    swept = [[rows_of(one, np.isfinite(one.f0x)) for one in both] for both in swept]
-    taken = seconds(*(partial(run, row[2], both[1]) for row, both in zip(rows, swept, strict=True)))
-    return [
-        Line(
-            row[0],
-            len(both[1].x0),
-            len(both[1].x0) / time_s,
-            tuple(float(np.nanmax(np.hypot(*(run(row[2], one) - one.point).T))) for one in both),
-        )
-        for row, both, time_s in zip(rows, swept, taken, strict=True)
-    ]
-
-
-def rows_of(swept: planar.Sweep, rows: NDArray[np.bool_]) -> planar.Sweep:
-    columns = {name: column[rows] for name, column in vars(swept).items() if np.shape(column)[:1] == rows.shape}
-    return replace(swept, **columns)
-
-
 # The tables
 
 
@@ -269,7 +223,6 @@ def main() -> None:
 
     print("\nStep 2, reactions to contacts")
     lines = inverse(contacts)
-    lines += other_rods(contacts)
     print_lines(lines, ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     inverse_ratio = lines[0].rate / lines[1].rate
     print(f"closed form over Scholz & Rahn's integration: {rounded(inverse_ratio)} x the contacts")

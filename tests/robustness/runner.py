@@ -59,14 +59,14 @@ class Threads(ThreadPoolExecutor):
         self.shutdown(wait=False, cancel_futures=True)
 
 
-def run(argv, folder, *, draw=False):
-    """The outcome of ``scan3d ARGV`` in a folder; without `draw` nothing is rendered, which saves seconds."""
+def run(argv, folder):
+    """The outcome of ``scan3d ARGV`` in a folder; nothing is rendered, which saves seconds."""
     reader, writer = os.pipe()
     start = time.monotonic()
     child = os.fork()
     if child == 0:
         os.close(reader)
-        _child([str(part) for part in argv], folder, writer, draw)
+        _child([str(part) for part in argv], folder, writer)
     os.close(writer)
     data = b""
     while True:
@@ -86,7 +86,7 @@ def run(argv, folder, *, draw=False):
     return outcome
 
 
-def _child(argv, folder, writer, draw):
+def _child(argv, folder, writer):
     """Run the command and write its outcome; never returns."""
     sys.stdin.close()
     # what libraries in C write to the process's own stderr is an answer to the user as well
@@ -99,8 +99,7 @@ def _child(argv, folder, writer, draw):
     from scan3d.cli import main
     from scan3d.pictures import canvas
 
-    if not draw:
-        canvas.can_render = lambda: False
+    canvas.can_render = lambda: False
     # the runs of a batch are made in this process, whose limits and warnings are seen
     workers.Workers = Threads
     outcome = Outcome()
