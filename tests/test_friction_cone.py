@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sample_bodies import formulas, hull
+from sample_bodies import formulas
+from shapes import ball
 
 import planar
 import scan3d
@@ -14,12 +15,6 @@ from scan3d.reconstruction.contacts import readings
 from scan3d.simulation.rig import Faults, simulate_rig, standing
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
-
-
-def polytope(seed):
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(12, 3))
-    return hull(20 * rng.uniform(0.4, 1, 3) * points / np.linalg.norm(points, axis=1)[:, None])
 
 
 def forces(recording):
@@ -51,7 +46,7 @@ def test_friction_on_a_fine_mesh_shows_no_more_than_was_set(friction):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.trust) for k in range(1, 6))])
 def test_rows_between_solved_ones_are_those_of_rods_that_touch(seed):
     """A dense log of a rig, whose rows are partly interpolated: 1 to 4 % were not in the cone of 0.4, and up to 0.6 mm off."""
-    body = standing(polytope(seed))
+    body = standing(ball(seed, 12, 20 * np.random.default_rng(seed).uniform(0.4, 1, 3)))
     across = 2 * np.linalg.norm(body.vertices[:, :2], axis=1).max()
     around = parse_envelope(f"cylinder:{across}x{body.bounds[1, 2]}")
     plan = RigPlan(around, model="spatial", rod=ROD, slices=1, sweeps=4)

@@ -230,7 +230,7 @@ def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float)
     places = [_places(position, position[:0, 0]) for position in positions]
     found: dict[int, _Swept] = {}
     again = list(range(len(tracks)))
-    for _ in range(2):  # the second time with the rows where the contact changes much
+    while again:  # once more with the rows where the contact changes much
         order = sorted(again, key=lambda k: len(places[k]))
         for first in range(0, len(order), 128):
             rows = order[first : first + 128]
@@ -238,7 +238,7 @@ def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float)
             found |= dict(zip(rows, parts, strict=True))
         again = [k for k in order if len(found[k].turned)]
         for k in again:
-            places[k] = _places(positions[k], found[k].turned)
+            places[k] = _places(positions[k], np.append(places[k], found[k].turned))
     return [found[k].reactions for k in range(len(tracks))]
 
 
