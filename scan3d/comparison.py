@@ -106,7 +106,7 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     Either may be open, non-convex or in several parts.  Averages are taken over at most 20 000 points of each surface, spread
     by area and not at random, so that the same meshes give the same numbers.  The winding of the faces gives the direction of
     their normals.  Raises InputError if either has no faces, coordinates that aren't finite, or no extent.  The methods are
-    described in `scan3d.comparison`.
+    described in ``scan3d/comparison.py``.
     """
     return _compared(*_prepared(surface, mesh))
 
