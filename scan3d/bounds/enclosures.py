@@ -169,7 +169,8 @@ class Enclosure(Described):
         """
         if not (self.confidence and np.isfinite(self.bound) and np.isfinite(self.corners).all()):
             return np.empty((0, 4))
-        normals = ConvexHull(self.corners).equations[:, :3]
+        # in any directions; many nearly coplanar corners make wide facets
+        normals = ConvexHull(self.corners, qhull_options="Qt Q12").equations[:, :3]
         return np.column_stack([normals, self.support(normals)[1]])
 
     def summary(self) -> Rows:
