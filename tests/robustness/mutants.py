@@ -25,8 +25,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 TESTS = {
-    "planar": "against_* any_rod branches* contours inflections invariances loops paper_statements pieces* "
-    "reconstruction several* single* sweeping uncertainty",
+    "planar": "against_* any_rod branches* completed* contours fewer* inflections invariances loops paper_statements "
+    "pieces* reconstruction second* several* single* sweeping uncertainty",
     "scan3d/geometry": "arcs bodies cells comparison convexity distance hausdorff hollow hull* sections support",
     "scan3d/bounds": "bounds bound_properties carved cells confidence reach spatial_bounds",
     "scan3d/reconstruction": "reconstruction slices normals agreement diagnosis spatial_reconstruction",
