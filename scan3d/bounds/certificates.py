@@ -226,10 +226,18 @@ def _same_place(cloud: Cloud) -> Array:
     """(n,) whether each contact lies as near to one of another sweep as to the next ones of its own, in its slice."""
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     places = np.column_stack([cloud.points, 2 * size * cloud.slice])
-    near = cKDTree(places).query(places, k=range(2, 4))[1]
-    known = near < len(places)
-    other: Array = cloud.sweep[np.where(known, near, 0)] != cloud.sweep[:, None]
-    return np.asarray((other & known).any(axis=1))
+    # rods that turn about a corner touch one place, of which rounding must make no neighbours
+    order = np.lexsort((cloud.row, cloud.sweep))
+    step = np.linalg.norm(np.diff(places[order], axis=0), axis=1)
+    new = np.append(True, (step > NEGLIGIBLE * size) | (np.diff(cloud.sweep[order]) != 0))
+    first, one = order[new], np.empty(len(order), dtype=np.intp)
+    one[order] = np.cumsum(new) - 1
+    distance, near = cKDTree(places[first]).query(places[first], k=range(2, 7))
+    known = near < len(first)
+    own = known & (cloud.sweep[first][np.where(known, near, 0)] == cloud.sweep[first][:, None])
+    next_ones = np.where(own & (np.cumsum(own, axis=1) == 2), distance, np.inf).min(axis=1)
+    as_near = distance <= next_ones[:, None] + NEGLIGIBLE * size
+    return np.asarray((known & ~own & as_near).any(axis=1)[one])
 
 
 def missing(cloud: Cloud) -> str:

@@ -56,6 +56,9 @@ if TYPE_CHECKING:
 
 # Rounding of coordinates of unit size.
 _COORDINATES = 1e-15
+ROUNDED = 1e-11
+"""Rounding of contacts, and of what is computed from them, relative to the body: a hundred times that of the wrench.  What
+sticks out of a hull by no more is none of its vertices, so that the last digits do not decide how many it has."""
 CONVEX_DEPTH = NEGLIGIBLE
 """A surface less deep than this below its hull counts as convex: such depths are rounding."""
 NEAR_CONVEX_DEPTH = 1e-4
@@ -334,6 +337,11 @@ def hull(points: Array) -> Any:
     return _mesh(points, faces)
 
 
+def vertices_of(points: Array) -> Index:
+    """The numbers (v,) of points (n, 3) that are vertices of their hull by more than rounding; raises InputError as `hull`."""
+    return np.unique(_spanned_hull(points)[0].simplices)
+
+
 def _spanned_hull(points: Array) -> tuple[ConvexHull, Array, float]:
     """The hull of points (n, 3) less their centre (3,) and over their size, with both; raises InputError as `hull`."""
     if not len(points):
@@ -343,7 +351,7 @@ def _spanned_hull(points: Array) -> tuple[ConvexHull, Array, float]:
     scaled = (points - centre) / size
     try:
         try:
-            qhull = ConvexHull(scaled)
+            qhull = ConvexHull(scaled, qhull_options=f"Qt E{ROUNDED:g}")
         except QhullError:
             if np.linalg.svd(scaled - scaled.mean(axis=0), compute_uv=False)[-1] < NEGLIGIBLE * np.sqrt(len(scaled)):
                 raise
@@ -583,9 +591,11 @@ def _vertices(planes: Array, inside: Array) -> Array:
     """Vertices (v, 3) of the polytope of planes, none of which passes through or beyond the point inside."""
     offset = planes[:, 3] - planes[:, :3] @ inside
     dual = planes[offset > 0, :3] / offset[offset > 0, None]
+    size = float(np.abs(dual).max())
     try:
-        equations = ConvexHull(dual).equations
-        vertices: Array = inside - equations[:, :3] / equations[:, 3:]
+        # planes that agree up to rounding would cross anywhere
+        equations = ConvexHull(dual / size, qhull_options=f"Qt E{ROUNDED:g}").equations
+        vertices: Array = inside - equations[:, :3] / equations[:, 3:] / size
     except QhullError:
         vertices = half_space_intersection(planes[offset > 0] * [1, 1, 1, -1], inside).intersections
     return np.unique(vertices, axis=0)

@@ -46,8 +46,8 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     center = mesh.bounds.mean(axis=0)
     origin = rotation @ center
     points = (mesh.vertices.view(np.ndarray) - center) @ rotation.T  # about the centre, where float64 is finest
-    # of a rotated coordinate
-    rounding = 8 * np.finfo(np.float64).eps * float(np.linalg.norm(mesh.extents) + np.linalg.norm(center))
+    # that of the mesh's own coordinates included, so that it does not decide whether a plane contains a face
+    rounding = ROUNDING * float(np.linalg.norm(mesh.extents) + np.linalg.norm(center))
     order = np.argsort(heights)
     levels = heights[order] - origin[2]
 

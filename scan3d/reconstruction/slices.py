@@ -346,6 +346,7 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
     tangential, tip = np.flatnonzero(measured & along_rod), np.flatnonzero(measured & ~along_rod)
     normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (tangential, tip))
     raw = np.arctan2(normals[:, 1], normals[:, 0])
+    raw[raw > np.pi - NEGLIGIBLE] -= 2 * np.pi  # so that rounding does not make two of the one half a turn away
     order = np.argsort(raw, kind="stable")
     # contacts with one normal lie on a straight edge of the contour
     group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > NEGLIGIBLE)

@@ -46,6 +46,7 @@ L. Hannah and D. Dunson, *Multivariate convex regression with adaptive partition
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -59,7 +60,7 @@ from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import cut_polytope, hull, plane_faces
+from scan3d.geometry.hulls import ROUNDED, cut_polytope, hull, plane_faces, vertices_of
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.facets import POLYHEDRON, on_planes, polyhedron
 from scan3d.reconstruction.slices import SliceStack, stacks
@@ -113,12 +114,23 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
         bounds = slice_enclosure(cloud, margin=0.0)
     slabs = bounds.slabs
     assert slabs is not None
-    open_ = np.isfinite(bounds.gap) & (bounds.gap > 0)
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    open_ = np.isfinite(bounds.gap) & (bounds.gap > NEGLIGIBLE * size) & _is_corner(bounds.corners, slabs.number)
     foot, number, stack = slabs.foot[open_], slabs.number[open_], slabs.stack
     away, fixed = bounds.corners[open_] - foot, np.where(np.isin(number, (0, len(stack.slices))), UNKNOWN, np.nan)
     found = Room(cloud.points, foot, away, _local(stack, number, away), fixed, contours_between(stack))
     outer = found.foot + away if bounds.tighter is None else bounds.tighter.corners
     return _below_facets(found, cloud, stack, outer) if has_edges else found
+
+
+def _is_corner(corners: Array, number: Index) -> Mask:
+    """Whether corners (w, 3) of slabs (w,) are their vertices, and no crossings of planes that are one up to rounding."""
+    found = np.zeros(len(corners), dtype=bool)
+    bounded = np.flatnonzero(np.isfinite(corners).all(axis=1))
+    for rows in np.split(bounded, np.flatnonzero(np.diff(number[bounded])) + 1):
+        with suppress(InputError):  # of a slab that has no thickness
+            found[rows[vertices_of(corners[rows])]] = True
+    return found
 
 
 def _below_facets(found: Room, cloud: Cloud, stack: SliceStack, outer: Array) -> Room:
@@ -174,37 +186,44 @@ def contours_between(stack: SliceStack) -> Array:
         below, above = stack.slices[i - 1], stack.slices[i]
         if not all(slice_.closed and len(slice_.outline) for slice_ in (below, above)):
             continue
-        angle = np.concatenate([below.angle, above.angle])
+        # a plane face has one normal in both slices, whose lines would cross anywhere on it
+        angle = np.sort(np.concatenate([below.angle, above.angle]))
+        angle = angle[np.diff(angle, prepend=-np.inf) > NEGLIGIBLE]
         turn = _turn(stack, i, angle)
         support = stack.supports(angle, i - 1, i + 1)
         middle = np.stack([slice_.outline.mean(axis=0) for slice_ in (below, above)])
-        for up in (1 / 3, 2 / 3):
+        for up, nearer in ((1 / 3, below), (2 / 3, above)):
             mix = np.array([1 - up, up])
             level = below.height + up * (above.height - below.height)
-            # every second point, since the contour has the angles of two slices
-            contour = _contour(angle, mix @ support + turn.above_chord(up), mix @ middle)[::2]
+            # the contour has the normals of both slices, and its points are those of the nearer one's
+            chosen = np.abs(angle[:, None] - nearer.angle).min(axis=1) <= NEGLIGIBLE
+            contour = _contour(angle, mix @ support + turn.above_chord(up), mix @ middle, chosen)
             contours.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
     return np.concatenate(contours)
 
 
-def _contour(angle: Array, support: Array, inside: Array) -> Array:
-    """Middles (n, 2) of the sides of the polygon about `inside` (2,) that support lines bound; no points if they do not.
+def _contour(angle: Array, support: Array, inside: Array, chosen: Mask) -> Array:
+    """Middles (n, 2) of the chosen sides of the polygon about `inside` (2,) that support lines bound; no points if they do not.
 
-    The lines have their normals at the angles (k,) and the values (k,) of the support function.
+    The lines have their normals at the angles (k,) and the values (k,) of the support function, and some are chosen (k,).
     """
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     distance = support - normals @ inside
     if not (distance > 0).all():
         return np.empty((0, 2))
     try:
-        # the polygon's corners are the edges of the dual polygon
-        edges = ConvexHull(normals / distance[:, None]).equations
+        # the polygon's sides are the corners of the dual polygon, and its corners are the edges there
+        dual = ConvexHull(normals / distance[:, None])
     except QhullError:  # too thin for Qhull; the slices alone then determine the surface closely enough
         return np.empty((0, 2))
-    corners = inside - edges[:, :2] / edges[:, 2:]
-    corners = corners[np.argsort(np.arctan2(*(corners - inside).T))]
+    corners = inside - dual.equations[:, :2] / dual.equations[:, 2:]
+    side, corner = dual.simplices.ravel(), np.repeat(np.arange(len(corners)), 2)
+    order = np.argsort(side, kind="stable")
+    ends = corners[corner[order]].reshape(-1, 2, 2)
     # the middles of the sides, since a corner of two support lines need not belong to the body
-    return (corners + np.roll(corners, -1, axis=0)) / 2
+    long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > NEGLIGIBLE * np.ptp(corners)
+    middles: Array = ends.mean(axis=1)[long & chosen[side[order][::2]]]
+    return middles
 
 
 @dataclass(frozen=True)
@@ -261,8 +280,15 @@ def _turn(stack: SliceStack, i: int, angle: Array) -> _Turn:
     ]
     thickness = np.diff(np.array(z))
     secant = np.diff(h, axis=0) / thickness[:, None]
-    below = _End(secant[0] - secant[2], secant[1] - secant[2], thickness[1], thickness[2])
-    above = _End(secant[2] - secant[4], secant[2] - secant[3], thickness[3], thickness[2])
+    # where the body is straight rounding decides nothing
+    rounding = ROUNDED * np.nanmax(np.abs(h), initial=0.0) / np.nanmin(thickness, initial=np.inf)
+
+    def bend(one: int, other: int) -> Array:
+        turned = secant[one] - secant[other]
+        return np.where(np.abs(turned) <= rounding, 0.0, turned)
+
+    below = _End(bend(0, 2), bend(1, 2), thickness[1], thickness[2])
+    above = _End(bend(2, 4), bend(2, 3), thickness[3], thickness[2])
     curvature = np.fmax(below.curvature(), above.curvature())
     rise, fall = below.slope(curvature), above.slope(curvature)
     with np.errstate(divide="ignore", invalid="ignore"):
