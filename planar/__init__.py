@@ -27,6 +27,7 @@ from planar.channels import Completed, complete, complete_by_moment, touched_at
 from planar.contours import Circle, Contour, Contours, Curve, Ellipse, Polygon
 from planar.hidden import (
     Recovered,
+    bridging,
     constant_friction_angle,
     corners,
     first_contacts,
@@ -71,6 +72,7 @@ __all__ = [
     "Status",
     "Sweep",
     "SweepStatus",
+    "bridging",
     "complete",
     "complete_by_moment",
     "constant_friction_angle",

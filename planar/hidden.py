@@ -8,6 +8,7 @@ place that is neither, up to a fifth of the rod's length away.  What reveals it:
 - Tangential contacts move along the rod, whatever the friction: the chord from one sample to the next has a direction between
   their slopes, or no length, at a corner.
 - No contact lies inside what other sweeps have passed (`passed`).
+- A rod that rests on both sides of a hollow passes the two places, which other rods have touched alone (`bridging`).
 
 What the rods of a sweep have passed is free: not of the body, whatever its shape, its friction and the number of contacts.
 Rods move continuously from one sample to the next and never enter the body.  A point on the left of one rod and on the right of
@@ -265,6 +266,8 @@ def recover_at_tip(
 _BENT, _STRAIGHT = 40, 16
 # Error of the expansions, in rod lengths; `tests/test_second_contacts.py` has the largest of many.
 EXPANDED = 1e-8
+# Distance from a rod, in rod lengths, of places that it may touch within its errors.
+_ACROSS = 0.01
 SNAPPED = 5.0
 """Travel of a contact, or of the tip, in steps of the base, beyond which it has snapped."""
 
@@ -413,3 +416,58 @@ def passed(
     away = np.hypot(*(offset - share[:, None] * chord).T)
     kept = (travel <= SNAPPED * (base[before] - base[row])) & (away > bulge + known)
     return row[kept], point[kept]
+
+
+def bridging(
+    x0: ArrayLike,
+    f0x: ArrayLike,
+    f0y: ArrayLike,
+    m0z: ArrayLike,
+    contacts: Contacts,
+    points: ArrayLike,
+    *,
+    errors: Errors,
+    covariance: ArrayLike,
+) -> Mask:
+    """Whether rods (n,) may touch at two of the points (k, 2), on either side of the place where they seem to touch at one.
+
+    A rod that rests on both sides of a hollow seems to touch over it, with the friction of a single contact up to 1e-7.  It
+    passes both places within the errors across it, and no contact confirms the one between them.  A rod that touches a convex
+    contour leaves it on both sides.
+
+    contacts, errors
+        (n,) of the rods, and their standard deviations.
+    covariance
+        (k, 2, 2) of the points.
+    """
+    base, points, covariance = (np.asarray(column, dtype=float) for column in (x0, points, covariance))
+    found = np.zeros(len(base), dtype=bool)
+    own = np.sqrt(np.trace(errors.point, axis1=1, axis2=2))
+    known = np.isfinite(own) & np.isfinite(contacts.s1) & np.isfinite(errors.slope)
+    rods, places = np.flatnonzero(known), np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
+    if not len(rods) or not len(places):
+        return found
+    shape = drawn(*(np.asarray(column, dtype=float)[rods] for column in (x0, f0x, f0y, m0z, contacts.s1)))
+    pairs = near(shape, points[places], _ACROSS)
+    row, point = rods[pairs.row], places[pairs.point]
+    ahead = pairs.s - contacts.s1[row]
+    slope = contacts.slope[row]
+
+    def sd(along: Array) -> Array:
+        """Of the pairs' places and contacts in a direction (p, 2)."""
+        both = covariance[point] + errors.point[row]
+        return np.sqrt(np.maximum(np.einsum("pi,pij,pj->p", along, both, along), 0.0))
+
+    normal, tangent = (
+        np.stack([-np.sin(slope), np.cos(slope)], axis=1),
+        np.stack([np.cos(slope), np.sin(slope)], axis=1),
+    )
+    allowed = _DEVIATIONS * np.hypot(sd(normal), errors.slope[row] * ahead) + EXPANDED
+    on = (np.abs(pairs.off) <= allowed) & (pairs.s <= 1)
+    same = np.abs(ahead) <= _DEVIATIONS * sd(tangent) + EXPANDED
+    sides = np.zeros((2, len(base)), dtype=bool)
+    for side, chosen in enumerate((on & ~same & (ahead < 0), on & ~same & (ahead > 0))):
+        sides[side, row[chosen]] = True
+    # each rod has its own contact among the places
+    confirmed = np.bincount(row[on & same], minlength=len(base)) > 1
+    return np.asarray(sides[0] & sides[1] & ~confirmed)

@@ -12,6 +12,7 @@ import planar
 from planar import (
     Phase,
     Status,
+    bridging,
     constant_friction_angle,
     corners,
     first_contacts,
@@ -189,3 +190,44 @@ def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
         np.testing.assert_allclose(tips.point[rows], one.contacts["point"][rows, 1], atol=1e-10)
         recovered += rows.sum()
     assert recovered >= 3
+
+
+def test_a_rod_that_rests_on_both_sides_of_a_hollow_is_told_from_one_that_does_not():
+    """By places on the rod itself on either side of its contact, aside of it, on one side only, and at the contact as well."""
+    swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.3, samples=40)
+    rows = np.flatnonzero(swept.phase == Phase.TANGENTIAL)[5:20:5]
+    columns = [column[rows] for column in (swept.x0, swept.f0x, swept.f0y, swept.m0z)]
+    contacts = planar.reconstruct(*columns)
+    errors = planar.errors(*columns[1:], noise=(1e-6, 1e-6))
+    rods = drawn(*columns, contacts.s1)
+    for k in range(len(rows)):
+        on_rod = (rods.row == k) & (rods.s > 0.3)
+        beside = np.abs(rods.s - contacts.s1[k])
+        before, behind = (
+            np.flatnonzero(on_rod & (beside > 0.02) & (side * (rods.s - contacts.s1[k]) > 0))[::side][0]
+            for side in (-1, 1)
+        )
+        ends, normal = rods.point[[before, behind]], np.array([np.sin(contacts.slope[k]), -np.cos(contacts.slope[k])])
+        known = [
+            (ends, True),
+            (ends + 1e-3 * normal, False),
+            (ends[:1], False),
+            (ends[1:], False),
+            (np.vstack([ends, contacts.point[k]]), False),
+        ]
+        for points, rests in known:
+            places = np.vstack([contacts.point[k], points])
+            found = bridging(
+                *columns, contacts, places, errors=errors, covariance=np.tile(1e-12 * np.eye(2), (len(places), 1, 1))
+            )
+            assert found[k] == rests
+    nothing = np.empty((0, 2)), np.empty((0, 2, 2))
+    assert not bridging(*columns, contacts, nothing[0], errors=errors, covariance=nothing[1]).any()
+
+
+def test_no_rod_rests_on_both_sides_of_a_convex_contour():
+    swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.3, samples=200)
+    rows = np.flatnonzero(swept.phase == Phase.TANGENTIAL)
+    columns = [column[rows] for column in (swept.x0, swept.f0x, swept.f0y, swept.m0z)]
+    contacts, errors = planar.reconstruct(*columns), planar.errors(*columns[1:], noise=(1e-6, 1e-6))
+    assert not bridging(*columns, contacts, contacts.point, errors=errors, covariance=errors.point)[3:].any()

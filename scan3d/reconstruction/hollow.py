@@ -41,6 +41,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     wrong = refused | passed
     while cloud.covariance is not None and (beside := rows.beside(wrong)).any():
         wrong |= beside
+    if cloud.covariance is not None:
+        wrong |= rows.bridging(wrong)
     kept = (rows.touching & ~wrong)[cloud.row]
     # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
     # larger shares than those of rods with two contacts are those of a wrong rig
@@ -167,6 +169,32 @@ class _Rows:
                 )
                 pairs.append(np.stack([sweep[rod], rows[point]]))
             found.append(np.flatnonzero(_cover(np.concatenate(pairs, axis=1), self.pressed)))
+        return found
+
+    def bridging(self, wrong: Mask) -> Mask:
+        """(n,) contacts, of those not wrong, of rods that may rest on the places of others on either side."""
+        found, asked = np.zeros(len(wrong), dtype=bool), self.touching & ~wrong
+        for plane, members in self._slices():
+            rows = np.concatenate(members)
+            rows = rows[asked[rows]]
+            points = self._in_plane(self.found.point[rows], rows, plane)
+            turn = self.axes[rows, :2] @ plane.T
+            spread = np.einsum("nij,nik,nkl->njl", turn, self.errors.point[rows], turn)
+            for sweep in members:
+                some = sweep[asked[sweep]]
+                if len(some):
+                    back = self.axes[some[0], :2] @ plane.T
+                    x0, fx, fy, moment = (column[some] for column in self.columns)
+                    found[some] = planar.bridging(
+                        x0,
+                        fx,
+                        fy,
+                        moment,
+                        _of(self.found, some),
+                        self._of_sweep(points, some, plane),
+                        errors=_of_errors(self.errors, some),
+                        covariance=back @ spread @ back.T,
+                    )
         return found
 
     def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:
