@@ -15,6 +15,8 @@ from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.geometry.hulls import distance_from_hull
+from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
@@ -22,7 +24,7 @@ from scan3d.planning.plan import Plan, aimed_line, aims, further_directions, ope
 from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE
-from scan3d.reconstruction.slices import LEVEL
+from scan3d.reconstruction.slices import stacks
 from scan3d.recording import Recording, joined
 from scan3d.report import Analysis
 from scan3d.rods import Rod
@@ -71,13 +73,15 @@ class Session(Described):
     def ask(self, sweeps: int = 24) -> PoseList | None:
         """The poses of the next sweeps: first those of the plan, then about `sweeps` where most room is left for the body.
 
-        None if the tolerance is met, or if no further sweep would add information.  Raises InputError if the contacts so far
-        span no body.
+        None if the tolerance is met, or if no further sweep would add information.  Further sweeps are in the planes of the
+        recording's own slices, and of horizontal ones at first.  Raises InputError if the contacts so far span no body, or lie
+        outside the bounding body, and if clamp or rod would come below the floor on every sweep.
         """
         if not self._recordings:
             return self.planned()
         if self.relative_bound <= self.tolerance:
             return None
+        self._check_around()
         chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
         if not chosen:
             return None
@@ -174,64 +178,78 @@ class Session(Described):
         Raises InputError for contacts below the table: poses are planned for a body that stands on it.
         """
         if self._last is None:
-            recording = self.recording
-            normals = recording.axes()[:, 2]
-            # all slices are horizontal, up to the tilt of a clamp that is a little off
-            level = (normals[:, 2] > 0).all() and np.linalg.norm(normals[:, :2], axis=1).max() < LEVEL
-            model = "planar" if self.plan.model == "planar" and level else None
-            found = analyse(recording, model=model)
+            found = analyse(self.recording, model=self.plan.model)
             for warning in found.warnings:
                 if warning.code == BELOW_TABLE:
                     raise InputError(warning.message)
             self._last = found
         return self._last
 
+    def _check_around(self) -> None:
+        """Raises InputError for contacts that do not lie in the bounding body, from which poses keep away."""
+        space, points = self.plan.space(), self.cloud.points
+        points = points[np.isfinite(points).all(axis=1)]
+        beyond = float(distance_from_hull(space.points)(points).max())
+        if beyond > space.margin:
+            raise InputError(
+                f"contacts lie up to {length(beyond, self.plan.unit)} outside of the bounding body {self.plan.around}, which "
+                "stands on z = 0 about the z axis: state a larger one to keep away from, or move the frame of the poses"
+            )
+
     def _further_slices(self, sweeps: int) -> list[rig.Sweep]:
         """Sweeps of new slices, and of slices that their contacts leave open.
 
         Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
         """
-        space, cloud, count = self.plan.space(), self.cloud, max(1, sweeps // rig.SIDES)
+        plan, space, cloud = self.plan, self.plan.space(), self.cloud
+        by_axis = stacks(cloud.fattened or cloud)
+        frames, count = [stack.frame for stack in by_axis], max(1, sweeps // rig.SIDES // len(by_axis))
         at_stretches: list[rig.Sweep] = []
-        if cloud.convex:
-            # as finely as slabs will be divided in the end
-            heights = next_heights(cloud.fattened or cloud, Plan(), left=3 * count, count=count)
-        else:
-            outline = self.plan.around.outline()
+        chosen = self._open_directions(sweeps)
+        if not cloud.convex:
             for aim in aims(self.recording, cloud)[:sweeps]:
-                line = aimed_line(aim, outline, space.length, space.clearance)
-                at_stretches.append(rig.slice_sweep(self.plan, space, aim.angle, aim.height, line))
-            known = np.unique(cloud.slice_height)
-            between = np.argsort(-np.diff(known), kind="stable")[: (sweeps - len(at_stretches)) // rig.SIDES]
-            heights = (known[between] + known[between + 1]) / 2
-        top = self.plan.around.height
-        chosen = [
-            (float(angle), float(z))
-            for z in heights
-            if space.floor <= z <= top
-            for angle in 2 * np.pi * np.arange(rig.SIDES) / rig.SIDES
-        ]
-        chosen += self._open_directions(sweeps)
-        return at_stretches + [rig.slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
+                frame = slice_frame(aim.axis)
+                line = aimed_line(aim, rig.outline_in(plan, space, frame), space.length, space.clearance)
+                at_stretches.append(rig.slice_sweep(plan, space, aim.angle, aim.height, line, frame))
+        for k, stack in enumerate(by_axis):
+            if cloud.convex:
+                # as finely as slabs will be divided in the end
+                axis, of = frames[k][2], cloud.fattened or cloud
+                heights = next_heights(of, Plan(), axis=axis, left=3 * count, count=count)
+            else:
+                known = stack.heights
+                most = (sweeps - len(at_stretches)) // rig.SIDES // len(by_axis)
+                between = np.argsort(-np.diff(known), kind="stable")[:most]
+                heights = (known[between] + known[between + 1]) / 2
+            along = space.points @ frames[k][2]
+            chosen += [
+                (k, float(angle), float(z))
+                for z in heights
+                if along.min() <= z <= along.max()
+                for angle in 2 * np.pi * np.arange(rig.SIDES) / rig.SIDES
+            ]
+        found = [rig.slice_sweep(plan, space, angle, z, frame=frames[k]) for k, angle, z in sorted(chosen)]
+        return rig.above_floor(at_stretches + found, space)
 
-    def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
-        """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""
-        bounds = self._known.bounds
+    def _open_directions(self, sweeps: int) -> list[tuple[int, float, float]]:
+        """At most `sweeps` directions and heights, each with the number of its stack of slices, that close what the contacts
+        of slices leave open, if that is much."""
+        bounds, cloud = self._known.bounds, self.cloud
         if bounds.slabs is None:
             return []
         wide = (bounds.slabs.kind == Gap.CONTACTS) & (bounds.gap > 0.5 * bounds.gap.max())
-        levels = bounds.slabs.stack.heights
+        stack = bounds.slabs.stack
         if not wide.any():
             return []
-        numbers = np.unique(np.abs(bounds.corners[wide, 2:] - levels).argmin(axis=1))
-        directions: list[tuple[float, float]] = []
-        for number in numbers:
-            part = bounds.slabs.stack.slices[number]
+        axes = [other.frame[2] for other in stacks(cloud.fattened or cloud)]
+        number = int(np.argmax(np.array(axes) @ stack.frame[2]))
+        directions: list[tuple[int, float, float]] = []
+        for level in np.unique(np.abs((bounds.corners[wide] @ stack.frame[2])[:, None] - stack.heights).argmin(axis=1)):
+            part = stack.slices[level]
             points = part.points[part.tangential]
             width = float(np.ptp(part.points, axis=0).max())
-            # from the slices' frame, whose axes are those of the world for horizontal slices
             directions += [
-                (float(angle % (2 * np.pi)), float(part.height))
+                (number, float(angle % (2 * np.pi)), float(part.height))
                 for angle in further_directions(points, part.normals, width)
             ]
         return directions[:sweeps]

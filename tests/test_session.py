@@ -5,13 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_scans import EGG
 
 import scan3d
 from scan3d import InputError, Rod, Session
 from scan3d.cli import main
 from scan3d.files.recordings import POSE_COLUMNS, read_poses
-from scan3d.geometry.distance import distances
+from scan3d.geometry.distance import distances, segments_meet
+from scan3d.geometry.hulls import distance_from_hull, hull
+from scan3d.poses import Move
 from scan3d.session import around_contacts
 from scan3d.simulation.rig import simulate_rig, standing
 
@@ -136,3 +139,90 @@ def test_next_gives_poses_until_the_tolerance_is_met(rig_folder, tmp_path, capsy
     assert main([*again, "--tolerance", "0.5"]) == 0
     assert (tmp_path / "p2.csv").read_text() == ",".join(POSE_COLUMNS) + "\n"
     assert "0 further sweeps" in capsys.readouterr().out
+
+
+def check_clear(poses, session):
+    """Clamp and straight rod stay above the floor, and clear of the contacts' hull but where the rod sweeps."""
+    space, known, axes = session.plan.space(), hull(session.cloud.points), poses.axes()
+    place, length = 1000 * poses.position_m, space.length
+    tips = place + length * axes[:, 1]
+    assert min(place[:, 2].min(), tips[:, 2].min()) >= space.floor - 1e-6
+    assert distance_from_hull(session.cloud.points)(place).min() > 0.1 * length
+    moved = poses.move != Move.SWEEP
+    assert not segments_meet(known, place[moved], axes[moved, 1], length).any()
+    # between two poses the rod moves parallel to itself, or turns in one place
+    along = (moved[:-1] | moved[1:]) & (np.abs(np.diff(axes[:, 1], axis=0)).max(axis=1) < 1e-9)
+    for part in np.linspace(0, 1, 9):
+        between = place[:-1] + part * np.diff(place, axis=0)
+        assert (
+            min((between[along] + length * axes[:-1][along, 1])[:, 2].min(), between[:, 2].min()) >= space.floor - 1e-6
+        )
+        backwards = along & (moved[:-1] & moved[1:])
+        assert not segments_meet(known, between[backwards], axes[:-1][backwards, 1], length).any()
+
+
+AXES = {"x": (1, 0, 0), "down": (0, 0, -1), "oblique": (0.3, -0.2, 1), "level and oblique": (1, 2, 0), "two": None}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", AXES)
+def test_further_poses_follow_the_frames_of_the_recording_above_the_floor(egg, axis):
+    plan = scan3d.Plan(slices=5, samples=24, axis="xz" if axis == "two" else AXES[axis], rod=Rod.of_length(0.08))
+    recording = scan3d.simulate(egg, plan)
+    session = Session("cylinder:60x60", rod=recording.rod, samples=24, floor=1.0)
+    session.tell(recording)
+    poses = session.ask(16)
+    check_clear(poses, session)
+    of_slices = np.unique(np.round(recording.axes()[:, 2], 9), axis=0)
+    for rows in poses.sweeps():
+        assert np.abs(of_slices - poses.axes()[rows[0], 2]).max(axis=1).min() < 1e-8
+    # they touch the body where they are told to
+    session.tell(recorded(egg, poses))
+    assert distances(session.cloud.points, egg).max() < 1e-6
+
+
+def moved_by(recording, turn, shift):
+    """The recording in another frame of the world; shift in metres."""
+    turned = Rotation.from_rotvec(turn)
+    whole = turned * Rotation.from_quat(recording.quaternion, scalar_first=True)
+    return replace(
+        recording,
+        position_m=turned.apply(recording.position_m) + shift,
+        quaternion=whole.as_quat(canonical=True, scalar_first=True),
+    )
+
+
+@pytest.mark.slow
+def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
+    """They keep away from what is known; where the bounding body or the table is elsewhere, there is a sentence."""
+    recording = scan3d.simulate(egg, scan3d.Plan(slices=5, samples=24, rod=Rod.of_length(0.08)))
+    session = Session("cylinder:80x70", rod=recording.rod, samples=24)
+    session.tell(moved_by(recording, (0.12, -0.1, 0.7), (0.004, -0.003, 0.008)))
+    check_clear(session.ask(12), session)
+    elsewhere = Session("cylinder:60x60", rod=recording.rod)
+    elsewhere.tell(moved_by(recording, (0, 0, 0.3), (0.04, 0.0, 0.0)))
+    with pytest.raises(InputError, match=r"contacts lie up to .* outside of the bounding body cylinder:60x60"):
+        elsewhere.ask()
+
+
+@pytest.mark.slow
+def test_next_writes_no_file_where_no_sweep_stays_above_the_floor(egg, tmp_path, capsys, no_pictures):
+    egg.export(tmp_path / "egg.stl")
+    upright = [
+        "scan",
+        str(tmp_path / "egg.stl"),
+        "--out",
+        str(tmp_path / "x"),
+        "--axis",
+        "x",
+        "--slices",
+        "5",
+        "--quiet",
+    ]
+    assert main([*upright, "--samples", "24", "--rod", "steel:0.3x80"]) == 0
+    run = ["next", str(tmp_path / "x"), "--out", str(tmp_path / "p.csv"), "--around", "cylinder:60x60"]
+    assert main([*run, "--floor", "59"]) == 1
+    assert "stay above z = 59" in capsys.readouterr().err
+    assert not (tmp_path / "p.csv").exists()
+    assert main(run) == 0
+    assert read_poses(tmp_path / "p.csv").position_m[:, 2].min() > 0

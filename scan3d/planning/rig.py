@@ -61,6 +61,8 @@ _AROUND = 72
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
 # Part of the rod, from its tip, that must enter the body somewhere on a line.
 _LEAST = 0.1
+# The frame of horizontal slices.
+_LEVEL = slice_frame(np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -335,13 +337,51 @@ def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     ]
 
 
-def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, line: BaseLine | None = None) -> Sweep:
-    """The sweep at a height with the rod in a direction, past the whole bounding body; on the nearest base line by default."""
-    outline, frame = plan.around.outline(), slice_frame(np.array([0.0, 0.0, 1.0]))
+def slice_sweep(
+    plan: RigPlan, space: Space, angle: float, height: float, line: BaseLine | None = None, frame: Array | None = None
+) -> Sweep:
+    """The sweep at a height with the rod in a direction, past the whole bounding body; on the nearest base line by default.
+
+    frame (3, 3)
+        axes of the slices' frame as rows, z across the slice; by default that of horizontal slices.
+    """
+    frame = _LEVEL if frame is None else frame
+    outline = outline_in(plan, space, frame)
     line = line or base_line(outline, angle, space.clearance)
     across = (outline - line.origin) @ line.axes[0]
     x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
+
+
+def outline_in(plan: RigPlan, space: Space, frame: Array) -> Array:
+    """(n, 2) points in whose hull the bounding body lies, seen along the z axis of a slices' frame (3, 3)."""
+    return plan.around.outline() if np.array_equal(frame, _LEVEL) else space.points @ frame[:2].T
+
+
+def above_floor(sweeps: list[Sweep], space: Space) -> list[Sweep]:
+    """Those of the sweeps on which clamp and straight rod stay above the floor, also where the rod is drawn back.
+
+    Raises InputError if none of them does, and they are not level.
+    """
+    kept = []
+    for sweep in sweeps:
+        ends = np.concatenate([sweep.position, _drawn_back(sweep, space)])
+        lowest = float(ends[:, 2].min()) + min(space.length * float(sweep.axes[1, 2]), 0.0)
+        if lowest >= space.floor - NEGLIGIBLE * space.length:
+            kept.append(sweep)
+    if not kept and any(abs(sweep.axes[1, 2]) > NEGLIGIBLE for sweep in sweeps):
+        raise InputError(
+            f"on none of {len(sweeps)} further sweeps, in the planes of the recording's slices, do clamp and rod stay above "
+            f"z = {space.floor:g}: give a lower floor, or touch the body in horizontal slices"
+        )
+    return kept
+
+
+def _drawn_back(sweep: Sweep, space: Space) -> Array:
+    """Places (2, 3) of the clamp before and after a sweep: along the rod, until the tip is behind the supporting plane."""
+    along, ends = sweep.axes[1], sweep.position[[0, -1]]
+    back = np.maximum(ends @ along + space.length - space.behind(along), 0.0)
+    return np.asarray(ends - back[:, None] * along)
 
 
 _Pose = tuple[int, Array, Array, int]
@@ -352,11 +392,7 @@ def _poses(sweeps: list[Sweep], space: Space, first: int) -> Iterator[_Pose]:
     """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
     previous: tuple[Array, Array] | None = None
     for number, (position, axes) in enumerate(sweeps, start=first):
-        # drawn back along its rod, until the tip is behind the supporting plane
-        start, end = (
-            place - max(place @ axes[1] + space.length - space.behind(axes[1]), 0.0) * axes[1]
-            for place in position[[0, -1]]
-        )
+        start, end = _drawn_back(Sweep(position, axes), space)
         if previous is not None:
             yield from (
                 (number, place, turned, Move.APPROACH) for place, turned in _turn(previous, (start, axes), space)
