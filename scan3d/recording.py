@@ -188,6 +188,11 @@ class Recording(Shown):
         """Whether all three components of force and moment were measured, as the spatial model needs them."""
         return self.force_z_N is not None
 
+    @property
+    def stated_hollow(self) -> bool:
+        """Whether it is stated that the body is not convex."""
+        return self.source.get("convex") is False
+
     def wrench(self) -> tuple[Array, Array]:
         """(n, 3) support reaction and (n, 3) clamping moment in the clamp's frame.  Raises InputError unless all are known."""
         if self.force_z_N is None or self.moment_x_Nm is None or self.moment_y_Nm is None:

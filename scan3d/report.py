@@ -79,7 +79,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "schema": SCHEMA,
         "model": cloud.model,
         "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
-        "body": {"convex": cloud.convex, "parts": int(surface.body_count)},
+        "body": {"convex": cloud.convex and not recording.stated_hollow, "parts": int(surface.body_count)},
         "settings": dict(settings),
         "source": dict(recording.source),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
@@ -215,8 +215,10 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
         "of an import or in the TOML file of the recording"
     )
-    left = cloud.left_out
+    left, contours = cloud.left_out, None if analysis.carved is None else analysis.carved.contours_bound
+    contours = np.inf if contours is not None and analysis.warnings else contours
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if (reached := analysis.reach) is not None:
         outcome = reached.refuted or reached.unbounded or "contacts and free space do not contradict it"
@@ -229,18 +231,19 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "relative": bound / diagonal,
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
-        "confidence": bounds.confidence,
+        "confidence": _confidence(cloud, bounds, analysis.certificate, contours),
         "premise": "; ".join(premise.assumed for premise in assumed),
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "left_out": left
         and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
         "table": cloud.table,
-        **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
+        **({} if analysis.carved is None else {"contours": {"bound": contours}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": grown if is_real and not recording.rod.diameter_m else None,
-        "parts": bounds.parts() | _off(cloud, bounds),
-        "volume": list(bounds.volume),
+        # without a bound neither it nor the volume has parts or ends
+        "parts": parts if bounds.confidence else dict.fromkeys(parts),
+        "volume": list(bounds.volume) if bounds.confidence else [None, None],
     }
 
 
@@ -276,14 +279,16 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
         what was measured, and of what, which is the convex hull where that was scanned in the place of a mesh; the extents are
         those along the axes of the world.
     value
-        that of the surface.
+        that of the surface; None where the interval has no end, as the value then says nothing of the body.
     interval
         lower and upper bound, between which the true value lies with the coverage probability; infinite where nothing
         bounds it.
     expanded_uncertainty
-        the largest distance of the value from the ends of the interval.
+        the largest distance of the value from the ends of the interval; None without a value.
     coverage_probability
-        1 for exact contacts; 0 where the recording contradicts the model, so that nothing is stated.
+        1 for exact contacts; None where nothing is stated.
+    reason
+        why there is no value; empty if there is one.
     coverage_factor
         the number of standard deviations of each contact that the interval allows for, which is larger than 2 because it
         holds for all contacts at once; None for exact contacts.  Where the reactions are exact, and the rig's calibration is
@@ -291,20 +296,29 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
 
     All intervals hold together, under the premises of the certificate.
     """
-    unit, probability = cloud.unit, bounds.confidence
+    unit, probability = cloud.unit, _confidence(cloud, bounds, certified)
     allow = _allowed(cloud, bounds)
     factor = None if allow is None else allow.kappa or allow.factor
 
+    if not cloud.convex:
+        reason = "the body is not convex"
+    elif not bounds.confidence:
+        reason = "the rod's radius changes" if cloud.tapered else "the recording contradicts the model"
+    else:
+        reason = "nothing bounds the body on some side"
+
     def measured(quantity: str, value: float, low: float, high: float, power: str = "") -> dict[str, Any]:
+        known = bool(np.isfinite(high))
         return {
             "quantity": quantity,
             "of": certified.of,
-            "value": value,
+            "value": value if known else None,
             "unit": unit + power,
-            "interval": [low, high],
-            "expanded_uncertainty": max(high - value, value - low),
-            "coverage_probability": probability,
+            "interval": [low if known or bounds.confidence else -np.inf, high],
+            "expanded_uncertainty": max(high - value, value - low) if known else None,
+            "coverage_probability": probability if known or bounds.confidence else None,
             "coverage_factor": factor,
+            "reason": "" if known else reason,
         }
 
     directions = np.concatenate([np.eye(3), -np.eye(3)])
@@ -318,6 +332,12 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
         measured("volume", float(surface.volume), float(low), float(high), "³"),
         measured("distance of the surface from the body", 0.0, 0.0, float(certified.bound)),
     ]
+
+
+def _confidence(cloud: Cloud, bounds: Enclosure, certified: Certificate, contours: float | None = None) -> float | None:
+    """The probability with which what is certified holds: the bound, or that of the `contours`; None if nothing is."""
+    by_reach = np.isfinite([certified.bound, np.inf if contours is None else contours]).any()
+    return bounds.confidence or (allowed(cloud).confidence if by_reach else None)
 
 
 def _allowed(cloud: Cloud, bounds: Enclosure) -> Allowed | None:
@@ -369,12 +389,14 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
     """How much of the body the contacts cover.
 
     `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal, or 0.5 % for
-    contacts of the spatial model, as `surface_within` says.
+    contacts of the spatial model, as `surface_within` says; None where nothing is certified.
     """
-    surface, bound = _local_bounds(bounds, surface, certified)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    area = np.asarray(surface.area_faces)
     within = (5e-3 if cloud.model == "spatial" else 1e-3) * diagonal
+    if not bounds.confidence:
+        return {"surface": None, "surface_within": within}
+    surface, bound = _local_bounds(bounds, surface, certified)
+    area = np.asarray(surface.area_faces)
     closed = bound[surface.faces].max(axis=1) <= within
     return {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
 
@@ -411,14 +433,14 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         left, moved = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0), length(radius["moved"], unit)
         leaves = f", which leaves errors up to {length(left, unit, digits=1, up=True)}" if left else ""
         rows.append(("rod's radius", f"contacts moved by {moved} from the rod's centre line{leaves}"))
-    if rig := data.get("calibration"):
-        allowed_for = length(data["certificate"]["parts"]["systematic"], data["certificate"]["unit"], up=True)
+    if (rig := data.get("calibration")) and (systematic := data["certificate"]["parts"]["systematic"]) is not None:
+        allowed_for = length(systematic, data["certificate"]["unit"], up=True)
         exact = ", ".join(rig["taken_as_exact"])
         unknown = f"; not determined by it, and taken as exact: {exact}" if exact else ""
         rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
-    rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
+    rows.append(("surface", f"{surface['method']}, {closed}"))
     if hausdorff:
         to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""
         rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
@@ -471,9 +493,9 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
 
 def _known_rows(data: Mapping[str, Any]) -> Rows:
     """What of the surface of a body that is not convex is known, and what of the samples; none of a convex one."""
-    if (data.get("body") or {}).get("convex", True):
-        return []
     counts, coverage = data["counts"], data["coverage"]
+    if "second_contacts" not in counts:
+        return []
     left_out, hidden = counts["second_contacts"], counts["hidden_second_contacts"]
     rows = [("second contacts", f"{left_out} samples left out, whose rod touched at another place as well")]
     if hidden:

@@ -289,7 +289,7 @@ def test_the_view_that_explains(make, tmp_path):
         ((), "rainbow", "view must be one of cloud, surface, bound, .*, histogram, forces, got 'rainbow'"),
         (["contacts"], "cloud", "cube has no contacts to show; it has a surface: give the view surface"),
         (["truth"], "compare", "the view compare needs the true body of cube, .*: give --truth MESH"),
-        (["bound"], "bound", "the bound of cube is not known; show a scan's folder"),
+        (["bound"], "bound", "the bound at the surface of cube is not known: give a scan's folder"),
         (["recording"], "forces", "cube has no recording, whose reactions the view forces shows"),
         (["truth", "bound"], "histogram", "neither the deviation nor the bound of cube is known, .*"),
     ],

@@ -60,8 +60,13 @@ def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     analysis = analyse(replace(exact, force_N=exact.force_N * [1.0, -1.0]))
     assert analysis.warnings
     for quantity in measured(analysis).values():
-        assert quantity["coverage_probability"] == 0.0
-        assert quantity["interval"][1] == np.inf
+        assert quantity["value"] is quantity["expanded_uncertainty"] is quantity["coverage_probability"] is None
+        assert quantity["interval"] == [-np.inf, np.inf]
+        assert quantity["reason"] == "the recording contradicts the model"
+    data = report(analysis, settings={})
+    assert data["certificate"]["confidence"] is data["coverage"]["surface"] is None
+    assert data["certificate"]["volume"] == [None, None]
+    assert set(data["certificate"]["parts"].values()) == {None}
     assert "volume" not in dict(summary(report(analysis, settings={}))[1])
 
 
@@ -72,3 +77,30 @@ def test_the_summary_states_the_volume_with_its_interval(exact):
     low, high = data["measurands"][3]["interval"]
     middle, off = (float(part) for part in row.removesuffix(" mm³, certified").replace(",", "").split(" ± "))
     assert middle - off <= low < high <= middle + off
+
+
+@pytest.mark.slow
+def test_what_is_stated_of_the_body_stays_stated(exact):
+    """A convex body that is stated not to be convex is none for any part of the program; nor is one whose rod is wrong."""
+    hollow = replace(exact, source={**exact.source, "convex": False})
+    for recording in (hollow, replace(hollow, force_N=exact.force_N * [1.0, -1.0])):
+        data = report(analyse(recording), settings={})
+        assert data["body"]["convex"] is False
+        assert data["certificate"]["bound"] == np.inf
+        assert all(one["value"] is None and one["reason"] for one in data["measurands"])
+        assert not any("state convex = false" in warning["message"] for warning in data["warnings"])
+        words = dict(summary(data)[1])
+        assert words["certified"].startswith("nothing" if data["warnings"] else "outer contours within")
+    assert data["warnings"]
+
+
+def test_the_spatial_model_is_refused_for_bodies_that_are_stated_not_to_be_convex(exact):
+    hollow = replace(
+        exact,
+        source={"convex": False},
+        **dict.fromkeys(("force_z_N", "moment_x_Nm", "moment_y_Nm"), np.zeros(len(exact))),
+    )
+    assert hollow.six_axis
+    with pytest.raises(scan3d.InputError, match=r"spatial model is for convex bodies.*choose the planar model"):
+        scan3d.reconstruct(hollow, model="spatial")
+    assert scan3d.reconstruct(hollow).model == "planar"

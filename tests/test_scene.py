@@ -23,6 +23,7 @@ from scan3d.pictures.parts import (
     of_cloud,
     out_of_plane_deg,
     outlines,
+    shade_surface,
     shown_surface,
     shown_sweep,
     sweep_direction,
@@ -249,6 +250,27 @@ def test_the_deviation_is_looked_up_inside_large_facets(cube):
     same = np.argwhere(old < 1e-9)
     assert bound[same[:, 0]] == pytest.approx(cube.bound[same[:, 1]], abs=1e-6)
     assert cube.bound.min() - 1e-6 <= bound.min() <= bound.max() <= cube.bound.max() + 1e-6
+
+
+def test_no_bound_is_shown_that_is_larger_than_that_of_a_corner(cube):
+    """Slivers, of which barycentric coordinates are rounding, show values of their corners, as every other facet does."""
+    rng = np.random.default_rng(3)
+    for flatness in (1e-3, 1e-9, 1e-13, 1e-17, 0.0):
+        corners = np.cumsum(rng.uniform(size=(40, 2)), axis=0)
+        vertices = np.column_stack([corners[:, 0], flatness * rng.normal(size=40) + corners[:, 0], corners[:, 1] * 0])
+        faces = np.column_stack([np.arange(38), np.arange(1, 39), np.arange(2, 40)])
+        slivers = trimesh.Trimesh(vertices, faces, process=False)
+        bound = rng.uniform(1, 2, 40)
+        shown = shown_surface(replace(cube, surface=slivers, bound=bound, truth=None))[2]
+        assert len(shown) > 40
+        assert bound.min() - 1e-9 <= shown.min() <= shown.max() <= bound.max() + 1e-9
+
+
+def test_a_body_that_is_not_convex_has_no_bound_at_its_surface_to_show(cube):
+    surface = cube.surface.copy()
+    surface.vertex_attributes["known"] = np.full(len(surface.vertices), 2)
+    with pytest.raises(scan3d.InputError, match="not convex, and the view surface shows what of it is known"):
+        shade_surface(replace(cube, surface=surface, bound=None), "bound")
 
 
 def test_the_distance_from_another_surface_is_signed_and_exact(cube):

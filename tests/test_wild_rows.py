@@ -16,6 +16,7 @@ from scan3d.laboratory.signals import tare
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.errors import noise_in_air
+from scan3d.recording import of_rows
 from scan3d.report import report, summary
 from tests.robustness.bounds import false_statements
 
@@ -219,3 +220,14 @@ def test_contacts_scatter_about_tangents_as_is_stated():
         along = tangents @ right.points[right.some].T - (tangents * right.points[right.lines]).sum(axis=1)[:, None]
         scatter.append(((found.misfit.found - right.misfit.found) / sd)[along > 4])
     assert np.sqrt(np.mean(np.concatenate(scatter) ** 2)) < 1.1
+
+
+def test_slices_with_one_contact_are_bounded_by_the_others():
+    """Rows are left out by two groups of contacts, of which one is empty there."""
+    recording = disturbed(exact("ellipsoid"), 1e-4, "1 % at 10")
+    cloud = scan3d.reconstruct(recording)
+    assert cloud.left_out is not None
+    for number in (0, 2):
+        inside = cloud.row[cloud.slice == np.unique(cloud.slice)[number]]
+        analysis = analyse(of_rows(recording, np.setdiff1d(np.arange(len(recording)), inside[1:])), BODIES["ellipsoid"])
+        assert analysis.comparison.hausdorff <= analysis.certificate.bound

@@ -75,6 +75,8 @@ def _slice_of_groups(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
     if cloud.left_out is None:
         return _confident_slice(slice_, stack, cloud, allow)
     chosen = [cloud.row[slice_.rows] % _GROUPS == k for k in range(_GROUPS)]
+    if not all(rows.any() for rows in chosen):  # of so few contacts one group says nothing
+        return None
     groups = [_confident_slice(_of_group(slice_, rows), stack, cloud, allow) for rows in chosen]
     found = [group for group in groups if group is not None]
     if len(found) < _GROUPS:

@@ -302,9 +302,13 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
     if view != "bound":
         return mesh, shades[0] if shades else None
     if scene.bound is None or not np.isfinite(scene.bound).any():
-        raise InputError(
-            f"the bound of {scene.name} is not known; show a scan's folder, its surface.ply, or a recording"
+        is_hollow = "known" in scene.surface.vertex_attributes
+        why = (
+            "it is not convex, and the view surface shows what of it is known"
+            if is_hollow
+            else "give a scan's folder, its surface.ply or a recording that certifies one"
         )
+        raise InputError(f"the bound at the surface of {scene.name} is not known: {why}")
     return mesh, shades[-1]
 
 
@@ -369,6 +373,9 @@ def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.intege
     slivers = ~np.isfinite(weights).all(axis=1)  # without barycentric coordinates: the nearest corner counts
     distance = np.linalg.norm(mesh.triangles[old_face[slivers]] - vertices[slivers, None], axis=2)
     weights[slivers] = np.eye(3)[distance.argmin(axis=1)]
+    # a mean shows no more than its corners have, whatever the rounding of the coordinates in slivers
+    weights = np.clip(weights, 0.0, 1.0)
+    weights /= weights.sum(axis=1, keepdims=True)
     return trimesh.Trimesh(vertices, faces, process=False), weights, np.asarray(mesh.faces)[old_face]
 
 

@@ -193,8 +193,13 @@ def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradicti
     if beyond > allowed:
         text = (
             f"contacts lie up to {length(beyond, cloud.unit)} beyond the tangent at a contact of the same slice, where "
-            f"noise and rounding allow {length(allowed, cloud.unit, digits=2)}: the contacts are not those of a convex body; "
-            "of one that is not convex state convex = false under [source] of the recording"
+            f"noise and rounding allow {length(allowed, cloud.unit, digits=2)}: "
+            + (
+                "the contacts contradict each other whatever the body's shape, though it is stated not to be convex"
+                if recording.stated_hollow
+                else "the contacts are not those of a convex body; of one that is not convex state convex = false under "
+                "[source] of the recording"
+            )
         )
         return [Contradiction("beyond-tangent", text, beyond)]
     place = np.zeros(len(cloud)) if cloud.place_sd is None else kappa(len(cloud)) * cloud.place_sd
@@ -454,14 +459,14 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     Where opposed sweeps over the same place contradict each other, the contacts are those with the relative error of the wrench
     that explains it, of at most 1 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
     how much deeper noisy contacts lie in the hull of all than their noise explains, which widens the bounds.
-    Raises InputError if the recording has no contact, or not the axes that the model needs, and ValueError for an unknown
-    method.
+    Raises InputError if the recording has no contact, or not the axes that the model needs, for the spatial model of a body
+    that is stated not to be convex, and ValueError for an unknown method.
     """
     if model_of(recording, method, model) == "spatial":
         found = with_rig_errors(spatial_contacts(recording), recording)
         return replace(found, pose_error=found.pose_error + 2 * _deeper(found))
     touched = contacts(recording, method)
-    hollow = recording.source.get("convex") is False
+    hollow = recording.stated_hollow
     if hollow:  # its slices may contradict each other without any error
         found = without_second_contacts(on_surface(touched, recording, convex=False), recording)
         if not found.convex:

@@ -46,12 +46,18 @@ _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 def model_of(recording: Recording, method: str = "closed-form", model: str | None = None) -> str:
     """The model by which a recording is read, 'planar' or 'spatial'; see `scan3d.reconstruct`.
 
-    Raises InputError if the recording has not the axes that the model needs.
+    Raises InputError if the recording has not the axes that the model needs, and for the spatial model of a body that is stated
+    not to be convex.
     """
     if model not in (None, *MODELS):
         raise InputError(f"model must be one of {', '.join(MODELS)}, got {model!r}")
-    if model == "planar" or (model is None and not recording.six_axis):
+    hollow = recording.stated_hollow
+    if model == "planar" or (model is None and (hollow or not recording.six_axis)):
         return "planar"
+    if hollow:
+        raise InputError(
+            "the spatial model is for convex bodies, and the recording states convex = false: choose the planar model"
+        )
     if method != "closed-form":
         raise InputError(
             f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"
