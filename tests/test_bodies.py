@@ -303,6 +303,15 @@ def test_text_as_other_programs_write_it(tmp_path, kind, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("word", ["OFF", "COFF", "NOFF", "off", "OFF ", "", "# a comment\n OFF"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_off_whose_first_number_follows_the_word_without_a_space(tmp_path, word, encoding):
+    """As hundreds of files of ModelNet40 begin; the volume is the textbook's."""
+    written = box(3, 2, 1).export(file_type="off").split("\n", 1)
+    (tmp_path / "box.off").write_bytes((word + written[1]).encode(encoding))
+    assert load_mesh(tmp_path / "box.off").volume == pytest.approx(6)
+
+
 CORNERS = [(x, y, z) for z in (0, 7) for x, y in ((20, 0), (20, 5), (5, 5), (5, 20), (0, 20), (0, 0))]
 SIDES = [[5, 4, 3, 2, 1, 0], [*range(6, 12)], *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))]
 

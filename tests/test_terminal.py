@@ -1,14 +1,18 @@
 """What a terminal sees: bold key figures where they are supported, and the progress of a run; and what a pipe sees."""
 
+import ast
 import io
 import json
 import re
 import sys
+from pathlib import Path
 
 import pytest
 from small_scans import CUBE
 
+import scan3d
 from scan3d.cli import main, terminal
+from scan3d.cli.commands import run
 from scan3d.cli.terminal import Progress
 
 SIZE = ["--slices", "3", "--sweeps", "4", "--samples", "8"]
@@ -98,3 +102,34 @@ def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_l
             now += 0.4
     lines = stream.getvalue().splitlines()
     assert lines == [f"scan3d: {0.4 * k:.1f} s: {words}" for k, words in enumerate(terminal._STEPS.values())]
+
+
+def signs():
+    """The characters beyond ASCII in the texts of the program, without docstrings, pictures, and what terminals obey."""
+    for path in Path(scan3d.__file__).parent.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        notes = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        texts = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+        found = "".join(node.value for node in texts if id(node) not in notes)
+        if path.parent.name != "pictures":
+            yield from (sign for sign in set(found) if not sign.isascii() and terminal.printable(sign) == sign)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "gbk", "cp932", "cp949", "cp437", "latin-1", "utf-8"])
+def test_every_sign_is_legible_in_every_encoding(monkeypatch, encoding):
+    """Against the encodings' own tables: a sign is printed as it is, or spelled in letters, never as a question mark."""
+    printed = {name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")}
+    for name, stream in printed.items():
+        monkeypatch.setattr(sys, name, stream)
+    used = "".join(sorted({*signs(), *"µμ³²±°×"}))
+    monkeypatch.setattr("scan3d.cli.commands.GUIDE", f"{used}|Würfel 中 😀")
+    assert run([]) == 0
+    terminal.say(used)
+    for stream in printed.values():
+        stream.flush()
+    shown, said = (stream.buffer.getvalue().decode(encoding) for stream in printed.values())
+    assert said == f"scan3d: {shown[: shown.index('|')]}\n"
+    assert not {"?", "\\", "\N{REPLACEMENT CHARACTER}"} & {*said}
+    assert json.loads(f'"{shown}"')[-1] == "😀"  # a file's name in JSON
+    if encoding == "gbk":
+        assert "682 µm, 2,200 mm³".encode("gbk", terminal.SPELLED) == b"682 um, 2,200 mm3"

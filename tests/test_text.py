@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scan3d.files.text import to_json, to_toml
+from scan3d import InputError
+from scan3d.files.text import read_section, to_json, to_toml
 
 
 def test_json_has_null_for_what_is_no_number():
@@ -72,3 +73,23 @@ def test_a_file_name_that_is_no_utf8_does_not_stop_the_writing():
     name = os.fsdecode(b"caf\xe9.stl")
     assert json.loads(to_json({"file": name})) == {"file": "caf?.stl"}
     assert tomllib.loads(to_toml({"file": name}).encode(errors="replace").decode()) == {"file": "caf?.stl"}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_settings_as_windows_writes_them(tmp_path, encoding, end):
+    """UTF-16 with its mark, of either order, is that of PowerShell; of other bytes the line is named."""
+    mark = {"utf-16-le": b"\xff\xfe", "utf-16-be": b"\xfe\xff"}.get(encoding, b"")
+    path = tmp_path / "map.toml"
+    path.write_bytes(mark + end.join(["a = 1", "# für µm", "b = 2", ""]).encode(encoding))
+    if encoding != "latin-1":
+        assert read_section(path, "map").data == {"a": 1, "b": 2}
+        return
+    with pytest.raises(InputError, match=r"map\.toml.* line [12] is no UTF-8: save it as UTF-8"):
+        read_section(path, "map")
+
+
+def test_utf16_without_its_mark_is_no_utf8(tmp_path):
+    (tmp_path / "map.toml").write_bytes("a = 1\n".encode("utf-16-le"))
+    with pytest.raises(InputError, match="line 1 is no UTF-8"):
+        read_section(tmp_path / "map.toml", "map")

@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
 
 from scan3d.cli import doctor, rig, show, verbs
-from scan3d.cli.terminal import Output, Progress, say
+from scan3d.cli.terminal import SPELLED, Output, Progress, say
 from scan3d.errors import InputError, UsageError
 from scan3d.workers import compute_algebra_in_one_thread
 
@@ -98,7 +98,7 @@ def run(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that cannot print µ prints ? instead
+            stream.reconfigure(errors=SPELLED)
     # no window of matplotlib is opened; the name of a backend that does not exist would end its import
     os.environ.pop("MPLBACKEND", None)
     compute_algebra_in_one_thread()

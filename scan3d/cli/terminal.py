@@ -5,6 +5,8 @@ No numerical library is imported here, so that ``scan3d --help`` is quick.
 
 from __future__ import annotations
 
+import codecs
+import json
 import os
 import re
 import sys
@@ -111,6 +113,34 @@ _STEPS = {
     "pictures": "pictures and page",
     "write": "writing",
 }
+
+
+SPELLED = "scan3d.spelled"
+"""The handler of characters that the encoding of a stream lacks: neither GBK nor the code page of Japanese Windows has µ."""
+_SPELLINGS = {
+    "µ": "u",
+    "μ": "u",
+    "°": " deg",
+    "±": "+/-",
+    "×": "x",
+    "·": "*",
+    "⋅": "*",
+    "−": "-",
+    "–": "-",
+    "²": "2",
+    "³": "3",
+}
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """The missing characters in ASCII: signs as one writes them without, others as JSON escapes them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(_SPELLINGS.get(one) or json.dumps(one)[1:-1] for one in missing), error.end
+
+
+codecs.register_error(SPELLED, _spelled)
 
 
 def printable(text: str) -> str:

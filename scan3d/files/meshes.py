@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import os
 import re
@@ -19,7 +20,7 @@ from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
 from scan3d.comparison import deepest_dent
 from scan3d.errors import InputError
 from scan3d.files.shapes import Shape, parse_ply, read_glb, triangulated
-from scan3d.files.text import check_readable
+from scan3d.files.text import check_readable, decoded
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
 from scan3d.units import UNITS_M, check_unit, share
@@ -37,6 +38,7 @@ _STL_START, _STL_ROW = 84, 50
 _CORNERS = re.compile(rb"\bouter\s+loop" + 3 * rb"\s+vertex\s+(\S+\s+\S+\s+\S+)" + rb"\s+end\s*loop\b", re.IGNORECASE)
 _END_FACET = re.compile(rb"\bend\s*facet\b", re.IGNORECASE)
 _END = re.compile(rb"\bend\s*solid\b", re.IGNORECASE)
+_GLUED = re.compile(rb"\A(\s*[A-Z0-9]*OFF)(?=\d)", re.IGNORECASE)
 _POINT, _FACE = (re.compile(rb"^[ \t]*%c[ \t]+([^\n]*)" % letter, re.MULTILINE) for letter in b"vf")
 
 
@@ -317,8 +319,8 @@ def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
 
 def _text(data: bytes) -> bytes:
     """The text of a file without a byte order mark, line ends of old computers and decimal commas."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        data = data.decode("utf-16", errors="replace").encode()
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = decoded(data).encode()
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return re.sub(rb"(?<=\d),(?=\d)", b".", data) if b"," in data else data
 
@@ -389,8 +391,12 @@ def _obj(data: bytes) -> tuple[Array, Index]:
 
 
 def _off(data: bytes) -> tuple[Array, Index]:
-    """Vertices (v, 3) and triangles (f, 3) of an OFF in text; colours and normals are left out."""
-    lines = [line for line in re.sub(rb"#[^\n]*", b"", _text(data)).split(b"\n") if line.strip()]
+    """Vertices (v, 3) and triangles (f, 3) of an OFF in text; colours and normals are left out.
+
+    In many files of ModelNet the first number follows the word OFF without a space.
+    """
+    data = _GLUED.sub(rb"\1 ", re.sub(rb"#[^\n]*", b"", _text(data)), count=1)
+    lines = [line for line in data.split(b"\n") if line.strip()]
     head = b" ".join(lines[:2]).split()
     named = head[0].upper().endswith(b"OFF")  # a word that may be missing
     first = 2 if named and len(lines[0].split()) == 1 else 1

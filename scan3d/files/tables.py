@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.files.text import check_readable
+from scan3d.files.text import check_readable, decoded
 from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
 
@@ -253,11 +253,9 @@ def _text(path: Path, what: str) -> str:
         if path.suffix.lower() in SHEETS:
             return sheet_text(path)
         data = path.read_bytes()
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", errors="replace")
     try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
+        return decoded(data)
+    except ValueError:
         return data.decode("latin-1")
 
 

@@ -7,6 +7,7 @@ what was expected and what came.  Settings are read here, and help must not wait
 
 from __future__ import annotations
 
+import codecs
 import errno
 import json
 import math
@@ -46,12 +47,31 @@ def check_readable(path: Path, *, memory_per_byte: float = 2.0) -> None:
     check_memory(memory_per_byte * state.st_size, f"reading {path.name}", "take a smaller file")
 
 
+def decoded(data: bytes) -> str:
+    """The text of a file in UTF-8, or in UTF-16 with its mark, as Windows writes it.
+
+    Raises ValueError that names the line of other bytes; a null character is no text, and UTF-16 without its mark is full of
+    them.
+    """
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace")  # a log may be cut off within a character
+    try:
+        text = data.decode("utf-8-sig")
+        place = data.find(b"\0")
+    except UnicodeDecodeError as error:
+        text, place = "", error.start
+    if place < 0:
+        return text
+    line = data.count(b"\n", 0, place) + 1
+    raise ValueError(f"line {line} is no UTF-8: save it as UTF-8")
+
+
 def read_small(path: Path) -> str:
     """The text of a file of settings or results.  Raises OSError and ValueError, InputError as `check_readable`."""
     check_readable(path)
     if path.stat().st_size > 50 << 20:  # those of a scan have a few thousand bytes
         raise ValueError(f"it has {path.stat().st_size >> 20} MB, and such files are small")
-    return path.read_text(encoding="utf-8-sig")
+    return decoded(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def to_float(value: float) -> float:

@@ -459,7 +459,7 @@ def source_kind(sidecar: Path) -> str | None:
     try:
         if not sidecar.is_file():
             return None
-        data: Any = tomllib.loads(sidecar.read_text(encoding="utf-8-sig"))
+        data: Any = tomllib.loads(read_small(sidecar))
         return str(data.get("source", {}).get("kind", "")) if "length_m" in data["rod"] else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
