@@ -31,6 +31,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, import_open3d
 from scan3d.files import whole
+from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import (
@@ -45,7 +46,6 @@ from scan3d.files.shapes import (
     to_polydata,
     write_shape,
 )
-from scan3d.files.tables import PARQUET
 from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, check_pair, locate, replacing, sha256
 from scan3d.geometry.distance import distances
 from scan3d.pictures import notebook

@@ -14,7 +14,7 @@ from raw_tables import Rig, map_of, table, track, write
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.tables import parquet_bytes
+from scan3d.files.columns import parquet_bytes
 from scan3d.files.text import to_toml
 from scan3d.laboratory.maps import guess_map
 
@@ -231,7 +231,7 @@ def test_titles_and_units_are_found_by_the_guess(tmp_path):
 def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
     (tmp_path / "log.parquet").write_bytes(b"no such thing")
     (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
-    with pytest.raises(InputError, match=r"can't read log\.parquet as Parquet"):
+    with pytest.raises(InputError, match=r"can't read log\.parquet as a file of Parquet's format"):
         scan3d.read_recording(tmp_path / "log.parquet")
     (tmp_path / "log.parquet").write_bytes(parquet_bytes({"sweep": np.zeros(2)}))
     with pytest.raises(InputError, match=r"log\.parquet is not a recording: its header lacks x_m"):

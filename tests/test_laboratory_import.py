@@ -11,7 +11,7 @@ from small_scans import EGG
 
 import scan3d
 from scan3d import InputError
-from scan3d.files.tables import parquet_bytes
+from scan3d.files.columns import parquet_bytes
 from scan3d.laboratory import signals
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import guess_map, read_map

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
-from scan3d.files.tables import PARQUET, check_single, parquet_bytes, read_table
+from scan3d.files.columns import PARQUET, check_single, parquet_bytes
+from scan3d.files.tables import read_table
 from scan3d.files.text import REQUIRED, Section, read_rod, read_section, rod_section, rows_as_text, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, source_kind, write_together
 from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList

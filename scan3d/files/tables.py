@@ -4,8 +4,7 @@ There is one reader of text, which knows the line of each row, so that every mes
 column.  What it finds by itself is the delimiter; a decimal comma, titles above the names and a row of units must be announced
 by a `Layout`, because a table that is read wrongly without a message costs more than a line in a file.
 
-Other tables are read by the libraries made for them: Parquet, MATLAB, numpy, HDF5, and sheets of Excel as text.  pyarrow, h5py
-and openpyxl are optional.  Arrays are columns by their names, those of several columns by names that end in _0, _1 and so on.
+Files of arrays, and sheets of Excel as text, are read by `files.columns`.
 """
 
 from __future__ import annotations
@@ -13,11 +12,9 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import date, datetime, time
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -27,6 +24,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.files.columns import ENDINGS, SHEETS, read_columns, sheet_text
 from scan3d.files.text import check_readable, decoded
 from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
@@ -109,6 +107,8 @@ class Table:
     sha256: str = ""
     left_out: Mapping[str, int] = field(default_factory=dict)
     """Rows of the file that are not in the table, by reason."""
+    others: Mapping[str, str] = field(default_factory=dict)
+    """What is no column, as in `files.columns.Columns`."""
 
     def __len__(self) -> int:
         return len(self.columns[0]) if self.columns else 0
@@ -116,6 +116,14 @@ class Table:
     def title(self, column: int) -> str:
         """A column by name, or by number from 1 where it has no name."""
         return f"column {self.names[column]!r}" if self.names and self.names[column] else f"column {column + 1}"
+
+    def refuse_other(self, name: str, where: str = "") -> None:
+        """Raise InputError for a name of what the file has, but not as a column; `where` is the clause that asks for it."""
+        if name in self.others:
+            raise InputError(
+                f"{self.name}: {name!r}{where} {self.others[name]}; bring two rates to the same times, as by interpolation, "
+                "and save arrays of one length"
+            )
 
     def place(self, row: int) -> str:
         """Where a row stands, for messages: ``log.csv: line 7``."""
@@ -202,8 +210,9 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     name = name or path.name
     if path.suffix.lower() in ENDINGS:
         with _readable(path, what):
-            by_name = read_columns(path)
-            return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=sha256(path))
+            columns, others = read_columns(path)
+            names, values = tuple(columns), tuple(columns.values())
+            return Table(name, names, values, layout=layout, sha256=sha256(path), others=others)
     text = _text(path, what)
     if path.suffix.lower() in SHEETS:
         layout = replace(layout or Layout(), delimiter="\t", decimal=".")
@@ -212,12 +221,6 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
         head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
         return replace(_parsed(name, text, head), layout=None)
     return replace(_parsed(name, text, _announced_head(name, lines, layout)), sha256=sha256(path))
-
-
-def check_single(file: str, header: Sequence[str], names: Iterable[str]) -> None:
-    """Raise InputError if one of some names is that of several columns in the header of a file."""
-    if repeated := [name for name in names if header.count(name) > 1]:
-        raise InputError(f"{file}: its header has {', '.join(repeated)} more than once; keep one column of each name")
 
 
 def guessed_layout(path: Path) -> Layout:
@@ -420,167 +423,3 @@ def _announced_head(name: str, lines: Sequence[str], layout: Layout) -> Head:
             f"{first} for the line with the names"
         )
     return Head(stated, names, (), first)
-
-
-# --- tables that are no text ---
-
-
-PARQUET = ".parquet"
-SHEETS = (".xlsx", ".xlsm")
-_MISSING = "Parquet files need pyarrow: pip install 'scan3d[parquet]', or take a .csv"
-
-
-def read_columns(path: Path) -> dict[str, NDArray[Any]]:
-    """The columns (n,) of a file by name: numbers as float64 (NaN where there is none), times in seconds, or text.
-
-    Of files that hold arrays of any kind these are the arrays of one or two axes whose first one is as long as those of most.
-    The columns of an array without a name are called by their numbers, from 1.  Raises InputError if a library is missing or
-    can't read the file, or if it holds no arrays, and OSError.
-    """
-    arrays = dict(_READERS[path.suffix.lower()](path))
-    kinds = {name: values for name, values in arrays.items() if values.dtype.kind in "iufbmMUSOV"}
-    lengths = Counter(len(values) for values in kinds.values() if values.ndim in (1, 2))
-    if not lengths:
-        raise InputError(f"{path.name} holds no arrays of numbers of one or two axes, which are columns of a table")
-    rows = max(lengths, key=lambda length: (lengths[length], length))
-    columns: dict[str, NDArray[Any]] = {}
-    for name, values in kinds.items():
-        if values.ndim in (1, 2) and len(values) == rows:
-            columns |= _split_array(name, values)
-    return {name: _values(column) for name, column in columns.items()}
-
-
-def _split_array(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The columns of an array (n,), (n, k), or of records."""
-    if values.dtype.names:
-        fields = {f"{name}.{field}".lstrip("."): values[field] for field in values.dtype.names}
-        return {key: column for field, part in fields.items() for key, column in _split_array(field, part).items()}
-    if values.ndim == 1 or values.shape[1] == 1:
-        return {name or "1": values.reshape(len(values))}
-    return {f"{name}_{k}" if name else str(k + 1): column for k, column in enumerate(values.T)}
-
-
-def _parquet(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
-    try:
-        from pyarrow import ArrowException, parquet
-    except ImportError:
-        raise InputError(_MISSING) from None
-    try:
-        # pyarrow's dataset layer, which is the default, takes longer to start than to read
-        table = parquet.ParquetFile(path).read()
-    except ArrowException as error:
-        raise InputError(f"can't read {path.name} as Parquet: {error}") from None
-    check_single(path.name, table.column_names, sorted({*table.column_names}))
-    yield from ((name, table.column(name).to_numpy()) for name in table.column_names)
-
-
-def _numpy(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
-    with _errors_named(path, "numpy's", "save plain arrays of numbers"), open(path, "rb") as file:
-        loaded = np.load(file, allow_pickle=False)
-        yield from {"": loaded}.items() if isinstance(loaded, np.ndarray) else loaded.items()
-
-
-def _matlab(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
-    from scipy.io import loadmat
-
-    with open(path, "rb") as file:
-        is_hdf5 = file.read(20).startswith(b"MATLAB 7.3")
-    if is_hdf5:
-        # as MATLAB has its axes
-        yield from ((name, values.T) for name, values in _hdf5(path))
-        return
-    with _errors_named(path, "MATLAB's", "save arrays or structs of numbers, and tables by table2struct"):
-        yield from _flat("", loadmat(path, simplify_cells=True))
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
-    if isinstance(value, Mapping):
-        for key, inner in value.items():
-            if not str(key).startswith("__"):
-                yield from _flat(f"{name}.{key}".lstrip("."), inner)
-    elif isinstance(value, np.ndarray):
-        yield name, value
-
-
-def _hdf5(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError("HDF5 files, and those of MATLAB 7.3, need h5py: pip install 'scan3d[tables]'") from None
-    found: list[tuple[str, NDArray[Any]]] = []
-
-    def take(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and 0 < len(item.shape) <= 2 and not name.startswith("#"):
-            values = np.asarray(item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()])
-            found.append((name, values))
-
-    with _errors_named(path, "HDF5's", "save it again"), h5py.File(path, "r") as file:
-        file.visititems(take)
-    yield from found
-
-
-@contextmanager
-def _errors_named(path: Path, whose: str, advice: str) -> Iterator[None]:
-    try:
-        yield
-    except InputError:
-        raise
-    # the libraries raise various errors for damaged files
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno:
-            raise
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"can't read {path.name} as a file of {whose} format: {what}; {advice}") from None
-
-
-_READERS: dict[str, Callable[[Path], Iterator[tuple[str, NDArray[Any]]]]] = {
-    **dict.fromkeys((PARQUET, ".pq"), _parquet),
-    **dict.fromkeys((".npy", ".npz"), _numpy),
-    ".mat": _matlab,
-    **dict.fromkeys((".h5", ".hdf5"), _hdf5),
-}
-ENDINGS = tuple(_READERS)
-
-
-def sheet_text(path: Path) -> str:
-    """The first sheet of a workbook as text, a line for each row and tabs between the cells.
-
-    Raises InputError if openpyxl is missing or can't read it, and OSError.
-    """
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        raise InputError("tables of Excel need openpyxl: pip install 'scan3d[tables]', or save a .csv") from None
-    text = io.StringIO()
-    with _errors_named(path, "Excel's", "save it again, or as a .csv"), open(path, "rb") as file:
-        book = load_workbook(file, read_only=True, data_only=True)
-        rows = csv.writer(text, delimiter="\t", lineterminator="\n")
-        for row in book.worksheets[0].iter_rows(values_only=True):
-            values = (cell.isoformat() if isinstance(cell, (datetime, date, time)) else cell for cell in row)
-            cells = ["" if cell is None else " ".join(str(cell).split()) for cell in values]
-            filled = [k for k, cell in enumerate(cells) if cell]
-            rows.writerow(cells[: filled[0] + 1] if len(filled) == 1 else cells)  # a title is no row of the table
-    return text.getvalue()
-
-
-def _values(column: NDArray[Any]) -> NDArray[Any]:
-    if column.dtype.kind in "mM":
-        column = (column - column[:1].min()).astype("timedelta64[ns]") if column.dtype.kind == "M" else column
-        return column.astype("timedelta64[ns]").astype(np.int64) * 1e-9
-    if column.dtype.kind in "iufb":
-        return column.astype(np.float64)
-    texts = (value.decode(errors="replace") if isinstance(value, bytes) else value for value in column)
-    return np.array(["" if value is None else str(value) for value in texts], dtype=object)
-
-
-def parquet_bytes(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """A Parquet file of columns (n,).  Raises InputError if pyarrow is missing."""
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError(_MISSING) from None
-    stream = io.BytesIO()
-    # measured numbers hardly repeat: dictionaries of them would only cost time
-    parquet.write_table(pyarrow.table(dict(columns)), stream, use_dictionary=False, compression="snappy")
-    return stream.getvalue()

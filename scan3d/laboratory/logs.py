@@ -155,6 +155,7 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
     found = [k for k, name in enumerate(names) if name == bare.strip()]
     if len(found) == 1:
         return found[0], sign
+    table.refuse_other(bare, f", which {where} names,")
     line = f"{table.name}: line {table.layout.header}" if table.layout and table.layout.header else table.name
     if found:
         numbers = ", ".join(str(k + 1) for k in found)

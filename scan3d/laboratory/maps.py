@@ -449,12 +449,14 @@ def _first(table: Table, pattern: str, parts: int = 2) -> str | None:
 
     Of names in parts, such as field.pose.position.x or /tool/pose/position/x, so many of the last parts will do, or more.
     """
-    for name in table.names:
+    for name in (*table.names, *table.others):
         if re.fullmatch(pattern, _bare(name)):
+            table.refuse_other(name)
             return name
-    for name in table.names:
+    for name in (*table.names, *table.others):
         all_parts = re.split("[./]", name)
         if any(re.fullmatch(pattern, _bare(".".join(all_parts[k:]))) for k in range(1, len(all_parts) - parts + 1)):
+            table.refuse_other(name)
             return name
     return None
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
+from scan3d.files.columns import check_single
 from scan3d.files.recordings import read_known, sidecar
-from scan3d.files.tables import Table, check_single, read_table
+from scan3d.files.tables import Table, read_table
 from scan3d.files.text import read_rod, read_section, rows_as_text
 from scan3d.reconstruction.errors import contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
