@@ -9,7 +9,7 @@ from raw_tables import map_of
 
 from scan3d import InputError, Rod, import_table
 from scan3d.files.text import to_toml
-from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.maps import guess_map, read_map
 
 ROD = Rod(0.06, 1.9e-4, 0.0003)
 NAMES = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
@@ -286,3 +286,49 @@ def test_maps_that_can_not_be_read(tmp_path):
         read_map(tmp_path / "map.toml")
     with pytest.raises(InputError, match=r"can't read the table .*none\.csv: No such file"):
         import_table(tmp_path / "none.csv", data())
+
+
+def test_blanks_before_quotes(tmp_path):
+    """The sign of the delimiter and a blank before a quoted cell, as of the tools of many databases."""
+    expected = import_table(put(tmp_path, lines()), data())
+    names = [", ".join(f'"{name}"' for name in NAMES)]
+    for rows in ([*names, *lines()[1:]], [*names, *(line.replace(",", ", ") for line in lines()[1:])]):
+        assert np.array_equal(import_table(put(tmp_path, rows), data()).force_N, expected.force_N)
+        assert "Fx" in guess_map(tmp_path / "log.csv").text
+        assert '\\"' not in guess_map(tmp_path / "log.csv").text
+
+
+def labview(rows, delimiter="\t", decimal=".", comment=""):
+    """What "Write To Measurement File" makes of a table, after National Instruments' specification of the text format."""
+    separator = {"\t": "Tab", ",": "Comma"}[delimiter]
+    head = ["LabVIEW Measurement", "Writer_Version\t2", "Reader_Version\t2", f"Separator\t{separator}"]
+    head += [f"Decimal_Separator\t{decimal}", "Multi_Headings\tNo", "X_Columns\tOne", "***End_of_Header***", ""]
+    head += ["Channels\t13", "Samples\t70", "X_Dimension\tTime", "***End_of_Header***"]
+    names, *values = ([cell.replace(".", decimal) for cell in row.split(",")] for row in rows)
+    table = [[*("X_Value" if name == "t" else name for name in names), "Comment"], [*values[0], comment], *values[1:]]
+    lines = [f"{line}\t".replace("\t", delimiter) for line in head]
+    return [*lines, *(delimiter.join(row) for row in table)]
+
+
+@pytest.mark.parametrize("comment", ["", "the first"])
+@pytest.mark.parametrize(("delimiter", "decimal"), [("\t", "."), ("\t", ","), (",", ".")])
+def test_files_of_labview(tmp_path, delimiter, decimal, comment):
+    expected, made = import_table(put(tmp_path, lines()), data()), data()
+    made["columns"]["time"] = "X_Value"
+    rows = labview(lines(), delimiter, decimal, comment)
+    for table in ({}, {"header": rows.index(next(row for row in rows if row.startswith("X_Value"))) + 1}):
+        found = import_table(put(tmp_path, rows), made | {"table": table})
+        assert np.array_equal(found.force_N, expected.force_N)
+    guess = guess_map(tmp_path / "log.csv")
+    assert not {"time", "position", "orientation", "force", "moment"} & {*guess.open}
+    assert 'time = "X_Value"' in guess.text
+
+
+def test_a_name_that_is_cut_in_two_is_no_empty_column(tmp_path):
+    """A delimiter before the unit would shift the columns; a row that is cut off stays one."""
+    rows = [lines(header=HEADER.replace("Fx", "Fx,N"))[0], *lines()[1:]]
+    with pytest.raises(InputError, match="line 2 has 14 values, expected 15"):
+        import_table(put(tmp_path, rows), data())
+    rows = [f"{HEADER},note", *(f"{line}," for line in lines()[1:-1]), lines()[-1]]
+    with pytest.raises(InputError, match="line 71 has 14 values, expected 15; it ends in column 14: is it cut off"):
+        import_table(put(tmp_path, rows), data())

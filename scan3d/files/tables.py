@@ -32,7 +32,7 @@ from scan3d.units import unit_of_cell
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
 # What programs write where there is no value, beside nan.
-_NO_VALUE = ("", "na", "n/a", "null", "none", "-", "--")
+NO_VALUE = ("", "na", "n/a", "null", "none", "-", "--")
 
 
 @dataclass(frozen=True)
@@ -217,6 +217,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     if path.suffix.lower() in SHEETS:
         layout = replace(layout or Layout(), delimiter="\t", decimal=".")
     lines = _first_lines(name, text)
+    layout = _labview(lines, layout)
     if layout is None:
         head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
         return replace(_parsed(name, text, head), layout=None)
@@ -228,7 +229,29 @@ def guessed_layout(path: Path) -> Layout:
     if path.suffix.lower() in ENDINGS:
         return Layout()
     stated = Layout("\t") if path.suffix.lower() in SHEETS else Layout()
-    return guessed_head(_first_lines(path.name, _text(path, "table")), stated).layout
+    lines = _first_lines(path.name, _text(path, "table"))
+    return stated if _labview(lines, stated) != stated else guessed_head(lines, stated).layout
+
+
+def _labview(lines: Sequence[str], layout: Layout | None) -> Layout | None:
+    """The layout, and what the two headers of LabVIEW's "Write To Measurement File" state, where it leaves that open.
+
+    They have the separators, each ends with a line of its own, and the names follow the last one.
+    """
+    ends = [number for number, line in enumerate(lines, 1) if line.startswith("***End_of_Header***")]
+    if not ends:
+        return layout
+    words = {pair[0]: pair[1].strip() for line in lines[: ends[-1]] if len(pair := line.split(maxsplit=1)) == 2}
+    layout = layout or Layout()
+    delimiter = {"Tab": "\t", "Comma": ","}.get(words.get("Separator", ""), "")
+    return replace(
+        layout,
+        delimiter=layout.delimiter or delimiter,
+        decimal="," if words.get("Decimal_Separator") == "," else layout.decimal,
+        header=next((k for k in range(ends[-1] + 1, len(lines) + 1) if lines[k - 1].strip()), ends[-1])
+        if layout.header is None
+        else layout.header,
+    )
 
 
 def _first_lines(name: str, text: str) -> list[str]:
@@ -266,11 +289,11 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     """The cells of lines that are not empty."""
     if delimiter == " ":
         return [line.split() for line in lines]
-    rows = list(csv.reader(lines, delimiter=delimiter))
+    rows = list(csv.reader(lines, delimiter=delimiter, skipinitialspace=True))
     if len(rows) == len(lines):
         return rows
     # a quote that is not closed: each line for itself, so that the one with too few cells is found
-    return [next(csv.reader([line], delimiter=delimiter), []) for line in lines]
+    return [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), []) for line in lines]
 
 
 def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str] | None]:
@@ -285,7 +308,7 @@ def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str]
         try:
             values[row] = float(cell)
         except ValueError:
-            if cell.strip().lower() not in _NO_VALUE and wrong is None:
+            if cell.strip().lower() not in NO_VALUE and wrong is None:
                 wrong = row, str(cell)
     return values, wrong
 
@@ -301,7 +324,7 @@ def _parsed(name: str, text: str, head: Head) -> Table:
     columns: Sequence[NDArray[Any]] | None = _all_numbers(lines, layout) if lines else [np.empty(0)] * len(head.names)
     if columns is None or len(columns) != (len(head.names) or len(columns)):
         columns = []
-        for k, cells in enumerate(_cells(name, numbers, lines, layout, len(head.names))):
+        for k, cells in enumerate(_cells(name, numbers, lines, layout, head.names)):
             if not layout.is_number(next((cell for cell in cells if cell.strip()), "0")):  # a column of text
                 columns.append(np.array(cells, dtype=object))
                 continue
@@ -325,18 +348,25 @@ def _all_numbers(lines: Sequence[str], layout: Layout) -> Sequence[Array] | None
 
 
 def _cells(
-    name: str, numbers: Sequence[int], lines: Sequence[str], layout: Layout, count: int
+    name: str, numbers: Sequence[int], lines: Sequence[str], layout: Layout, names: Sequence[str]
 ) -> Sequence[tuple[str, ...]]:
-    """The columns of lines as text.  Raises InputError for a line without the right number of cells, if that is not 0."""
+    """The columns of lines as text.  Raises InputError for a line without as many cells as there are names, if there are any.
+
+    A last column that most rows do not have is empty in them, as that of LabVIEW's comments.
+    """
     try:
         rows = _split(lines, layout.delimiter)
     except csv.Error as error:
         raise InputError(
             f"{name}: lines {numbers[0]} to {numbers[-1]} can't be split into cells: {error}; correct them"
         ) from None
-    count = count or len(rows[0])
+    count = len(names) or len(rows[0])
     # a delimiter after the last cell
     rows = [row[:count] if len(row) == count + 1 and not row[count].strip() else row for row in rows]
+    short = sum(len(row) == count - 1 for row in rows)
+    # a name that a blank, or a delimiter before its unit, cuts in two would shift the columns
+    if 2 * short > len(rows) and layout.delimiter != " " and not any(map(unit_of_cell, names)):
+        rows = [[*row, ""] if len(row) == count - 1 else row for row in rows]
     wrong = next(((number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != count), None)
     if wrong is None:
         return list(zip(*rows, strict=True))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,7 @@ from scan3d.arrays import LARGEST, MEDIAN_OF_NORMAL, NEGLIGIBLE, Array, Mask, ra
 from scan3d.errors import InputError
 from scan3d.files.tables import Table
 from scan3d.files.text import did_you_mean
+from scan3d.laboratory import clocks
 from scan3d.poses import MOVES, Move
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
@@ -225,17 +226,23 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
 
 
 def _time(table: Table, map: Map, reference: Reference) -> Array:
-    """Times (n,) in seconds; text in the form 2026-05-01T10:00:00.5 counts from its first row."""
+    """Times (n,) in seconds; those of a clock count from the first row."""
     column, _ = _find(table, map, reference, "time")
     values = table.columns[column]
-    if values.dtype.kind != "f" and "-" in str(values[0])[1:]:
-        try:
-            # without the zone, which is that of the whole log
-            stamps = np.array([re.sub(r"Z$|[+-]\d\d:?\d\d$", "", str(one)) for one in values], dtype="datetime64[ns]")
-            return np.asarray((stamps - stamps[0]).astype(np.int64) * 1e-9)
-        except ValueError:
-            pass
-    return _numbers(table, map, reference, "time", "time")
+    if values.dtype.kind == "f":
+        return _numbers(table, map, reference, "time", "time")
+    cells = table.text(column)
+    clock = clocks.seconds(cells)
+    wrong = next((row for row, cell in enumerate(cells) if cell), 0) if clock is None else clock[1]
+    if wrong is not None and (clock is not None or re.search(r"[:/]|\d[-.]\d+[-.]\d", cells[wrong])):
+        raise InputError(
+            f"{table.place(wrong)} has {cells[wrong]!r} in {table.title(column)}, where a number is expected, or a time as "
+            f"{clocks.FORMS}; correct it, or leave time out of {map.name}"
+        )
+    if clock is None:
+        return _numbers(table, map, reference, "time", "time")
+    timed = replace(table, columns=(*table.columns[:column], clock[0], *table.columns[column + 1 :]))
+    return timed.numbers(column, gaps=map.layout.missing == "drop")
 
 
 def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:

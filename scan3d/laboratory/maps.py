@@ -351,7 +351,7 @@ def _air(section: Section) -> str | tuple[tuple[float, float], ...]:
 
 # Names of columns without units, capital letters, underscores and the like, as laboratories and robots use them.
 _WORDS = {
-    "time": r"t|time|timestamp|times|stamp|headerstamp|rosbagtimestamp|zeit|elapsed|elapsedtime|timesec|clock",
+    "time": r"t|time|timestamp|times|stamp|headerstamp|rosbagtimestamp|zeit|elapsed|elapsedtime|timesec|clock|xvalue",
     "sweep": r"sweep|sweepnumber|sweepno|scan|stroke|line",
     "move": r"move|motion|phase|segment|state",
 }
