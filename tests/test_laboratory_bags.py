@@ -1,10 +1,13 @@
 """ROS bags of both generations, written by rosbags for these tests."""
 
+import shutil
+
 import numpy as np
 import pytest
 import trimesh
 from raw_tables import Rig, disturbed, map_of, sensed, track
 from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
@@ -142,9 +145,7 @@ def test_topics_that_are_not_there(tmp_path, recording):
         with pytest.raises(InputError, match=sentence):
             scan3d.import_table(path, made(recording, ros))
     other = written(tmp_path / "tf.bag", 1, log, "tf")
-    with pytest.raises(
-        InputError, match=r"tf\.bag has no topic of PoseStamped; name one as pose .*, or the frames of tf"
-    ):
+    with pytest.raises(InputError, match=r"tf\.bag has no topic of PoseStamped; record one, or name the frames of tf"):
         scan3d.import_table(other, made(recording, {}))
     with pytest.raises(InputError, match=r"no chain from 'wrld' to 'clamp'.*; did you mean world"):
         scan3d.import_table(other, made(recording, {"tf": ["wrld", "clamp"]}))
@@ -162,3 +163,43 @@ def test_without_rosbags_the_message_says_what_to_install(tmp_path, recording, m
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
     with pytest.raises(InputError, match=r"ROS bags need rosbags: pip install 'scan3d\[ros\]'"):
         scan3d.import_table(tmp_path / "run.bag", made(recording, {}))
+
+
+def test_what_a_killed_recorder_leaves(tmp_path, recording):
+    """Without metadata.yaml, in one file or in numbered ones, and cut off, with the command that saves what is whole."""
+    log, map = track(recording, air=25), made(recording, {})
+    whole = scan3d.import_table(written(tmp_path / "run", 2, log, "pose"), map)
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    assert is_bag(tmp_path / "run")
+    assert np.array_equal(scan3d.import_table(tmp_path / "run", map).position_m, whole.position_m)
+    (tmp_path / "run" / "run.db3").rename(tmp_path / "run" / "run_0.db3")
+    shutil.copy(tmp_path / "run" / "run_0.db3", tmp_path / "run" / "other.db3")
+    with pytest.raises(InputError, match=r"several bags, other\.db3, run_0\.db3, where one is expected; name one"):
+        scan3d.import_table(tmp_path / "run", map)
+    data = (tmp_path / "run" / "run_0.db3").read_bytes()
+    (tmp_path / "cut.db3").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=r"cut off, as when its recorder was killed: sqlite3 cut\.db3"):
+        scan3d.import_table(tmp_path / "cut.db3", map)
+    with Writer2(tmp_path / "m", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/ft", "geometry_msgs/msg/WrenchStamped", typestore=get_typestore(Stores.ROS2_HUMBLE))
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "m" / "m.mcap").read_bytes()[:-9])
+    with pytest.raises(InputError, match=r"killed: mcap recover cut\.mcap"):
+        scan3d.import_table(tmp_path / "cut.mcap", map)
+
+
+@pytest.mark.parametrize(("kind", "ros"), [("Wrench", {}), ("Wrench", {"wrench": "ft"}), ("Pose", {})])
+def test_messages_without_a_stamp_are_named(tmp_path, recording, kind, ros):
+    bag = Bag(tmp_path / "run", 2)
+    with bag.writer:
+        bag.writer.add_connection("/ft", f"geometry_msgs/msg/{kind}", typestore=bag.store)
+        if ros or kind == "Pose":
+            bag.wrench("/wrench", START, range(6))
+    with pytest.raises(InputError, match=rf"/ft is a {kind}, which has no time of .*; record it as {kind}Stamped"):
+        scan3d.import_table(tmp_path / "run", made(recording, ros))
+
+
+def test_the_number_of_messages_is_known_before_the_work(tmp_path, recording, monkeypatch):
+    path = written(tmp_path / "run", 2, track(recording, air=25), "pose")
+    monkeypatch.setattr("scan3d.workers.memory_bytes", lambda: 1e5)
+    with pytest.raises(InputError, match="reading run needs about"):
+        scan3d.import_table(path, made(recording, {}))

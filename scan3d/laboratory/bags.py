@@ -8,6 +8,7 @@ those that never change, hold for all times.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,10 +21,13 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.tables import Layout, Table
 from scan3d.files.text import check_readable, did_you_mean
+from scan3d.workers import check_memory
 
 if TYPE_CHECKING:
     from scan3d.laboratory.maps import Topics
 
+# The files of ROS 2, and the memory for a message of a pose or a wrench: a dozen numbers, as Python has them.
+_PARTS, _MEMORY_PER_MESSAGE = (".db3", ".mcap"), 600
 _WRENCH, _POSE, _TF = "WrenchStamped", "PoseStamped", "TFMessage"
 NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 """Columns of the table of a bag, in SI units."""
@@ -38,21 +42,36 @@ class _Poses(NamedTuple):
 
 
 def is_bag(path: str | Path) -> bool:
-    """Whether a path is a ROS bag: a .bag, a folder with metadata.yaml, or a file of such a folder."""
+    """Whether a path is a ROS bag: a .bag, a folder with metadata.yaml or with files of ROS 2, or one of these files."""
     path = Path(path)
-    return path.suffix in (".bag", ".db3", ".mcap") or (path.is_dir() and (path / "metadata.yaml").exists())
+    if not path.is_dir():
+        return path.suffix in (".bag", *_PARTS)
+    return (path / "metadata.yaml").exists() or any(file.suffix in _PARTS for file in path.iterdir())
 
 
-def bag_files(path: Path) -> Path:
-    """The folder or the file of a bag.  Raises InputError if it is not there, or a part of it is a device or a pipe."""
-    folder = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists() else path
+def bag_files(path: Path) -> list[Path]:
+    """The folder or the files of a bag.
+
+    A recorder that was killed has left no metadata.yaml, but files that are numbered.  Raises InputError if the bag is not
+    there, if a part of it is a device or a pipe, and if a folder holds files that are not parts of one bag.
+    """
+    folder = path.parent if path.suffix in _PARTS and (path.parent / "metadata.yaml").exists() else path
     try:
-        for file in folder.iterdir() if folder.is_dir() else [folder]:
+        files = sorted(folder.iterdir()) if folder.is_dir() else [folder]
+        for file in files:
             if not file.is_dir():
                 check_readable(file, memory_per_byte=0)  # bags are read message by message
     except OSError as error:
         raise InputError(f"can't read the bag {path}: {error.strerror or error}") from None
-    return folder
+    if folder / "metadata.yaml" in files or not folder.is_dir():
+        return [folder]
+    parts = [file for file in files if file.suffix in _PARTS]
+    if len({re.sub(r"_\d+$", "", file.stem) for file in parts}) > 1:
+        raise InputError(
+            f"{path} has no metadata.yaml, and several bags, {', '.join(file.name for file in parts)}, where one is expected; "
+            "name one of the files"
+        )
+    return parts
 
 
 def read_bag(path: str | Path, topics: Topics) -> Table:
@@ -63,9 +82,13 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError("ROS bags need rosbags: pip install 'scan3d[ros]', or export the topics as a table") from None
-    folder = bag_files(path)
+    files = bag_files(path)
     try:
-        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            count = sum(one.msgcount for one in reader.connections)
+            check_memory(
+                _MEMORY_PER_MESSAGE * count, f"reading {path.name}", "record less, or only the topics that are needed"
+            )
             topic = _topic(path.name, reader, _WRENCH, topics.wrench, "wrench")
             stamped, values = _samples(path.name, reader, topic, _wrench)
             if topics.frames is None:
@@ -76,7 +99,15 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
     except InputError:
         raise
     except Exception as error:  # rosbags has one of its own in each part; a damaged length gives a MemoryError
-        raise InputError(f"can't read the bag {path}: {str(error) or type(error).__name__}") from None
+        what, (file, *_) = " ".join(str(error).split()) or type(error).__name__, files
+        command = {
+            ".bag": f"rosbag reindex {file.name}",
+            ".mcap": f"mcap recover {file.name} -o whole.mcap",
+            ".db3": f"sqlite3 {file.name} .recover | sqlite3 whole.db3",
+        }.get(file.suffix, f"ros2 bag reindex {file.name}")
+        raise InputError(
+            f"can't read the bag {path}: {what.removesuffix('.')}; if it is cut off, as when its recorder was killed: {command}"
+        ) from None
     if topics.frames is not None:
         poses = _by_tf(path.name, edges, *topics.frames)
     if np.isnan(poses.position).all():
@@ -97,7 +128,15 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
 
 
 def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
-    found = sorted({c.topic for c in reader.connections if c.msgtype.split("/")[-1] == kind})
+    topics = {c.topic: c.msgtype.split("/")[-1] for c in reader.connections}
+    found = sorted(topic for topic in topics if topics[topic] == kind)
+    bare = kind.removesuffix("Stamped")
+    unstamped = [topic for topic in topics if topics[topic] == bare]
+    if unstamped and (not found or f"/{given.lstrip('/')}" in unstamped):
+        raise InputError(
+            f"{name} has no topic of {kind} for [ros] {entry} of the map: {unstamped[0]} is a {bare}, which has no time of "
+            f"measurement; record it as {kind}"
+        )
     if given:
         given = given if given in found else f"/{given.lstrip('/')}"  # also without the first slash
         if given not in found:
@@ -107,9 +146,11 @@ def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
             )
         return given
     if len(found) != 1:
-        which = f"has several topics of {kind}: {', '.join(found)}" if found else f"has no topic of {kind}"
-        further = ", or the frames of tf as tf = ['world', 'clamp']" if entry == "pose" else ""
-        raise InputError(f"{name} {which}; name one as {entry} under [ros] of the map{further}")
+        which = (
+            f"has several topics of {kind}: {', '.join(found)}; name" if found else f"has no topic of {kind}; record"
+        )
+        further = ", or name the frames of tf as tf = ['world', 'clamp']" if entry == "pose" else ""
+        raise InputError(f"{name} {which} one{f' as {entry} under [ros] of the map' if found else ''}{further}")
     return str(found[0])
 
 
