@@ -28,12 +28,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, SOME, Array, Index, Mask, weighted_quantiles
 from scan3d.geometry.distance import Search, bounding_box
-from scan3d.geometry.hulls import CONVEX_DEPTH, Facets, against_hull, prepare_facets
-from scan3d.geometry.triangles import areas, distance_to, dot, halve, longest_first, without_unused
+from scan3d.geometry.hulls import (
+    CONVEX_DEPTH,
+    DENT_TOLERANCE,
+    Facets,
+    against_hull,
+    outward_faces,
+    outward_facets,
+    prepare_facets,
+)
+from scan3d.geometry.triangles import areas, distance_to, distinct_rows, dot, halve, longest_first, without_unused
 from scan3d.shown import Described, Rows, described
 from scan3d.units import angle, length, number, point, share
 
@@ -261,7 +269,7 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     return Body(**vars(facets), planes=planes, slack=slack, search=Search(facets.corners))
 
 
-def deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negligible: float) -> tuple[float, Array]:
+def _deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negligible: float) -> tuple[float, Array]:
     """Upper bound of the depth of triangles below the surface of their convex hull, and the point (3,) where they are deepest.
 
     points (n, 3), faces (m, 3), facets (h, 3), planes (h, 4)
@@ -270,14 +278,30 @@ def deepest_dent(points: Array, faces: Index, facets: Index, planes: Array, negl
         depth that is not determined further, because it is rounding.
     """
     bodies = []
-    for triangles, supporting, slack in ((faces, np.empty((0, 4)), np.inf), (facets, planes, 0.0)):
-        used, renumbered = without_unused(triangles)
-        turned = np.take_along_axis(renumbered, longest_first(points[triangles]), axis=1)
+    for sides, supporting, slack in ((faces, np.empty((0, 4)), np.inf), (facets, planes, 0.0)):
+        used, renumbered = without_unused(sides)
+        turned = np.take_along_axis(renumbered, longest_first(points[sides]), axis=1)
         corners = points[used][turned]
         known = Facets(points[used], turned, corners, corners[:, 0], False, np.nan)
         bodies.append(Body(**vars(known), planes=supporting, slack=slack, search=Search(corners)))
     (found,) = one_sided_distances(((bodies[0], bodies[1]),), False, negligible)
     return found.upper, found.point
+
+
+def against_own_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
+    """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
+    where they are deepest (3,), and the fraction of its area that they cover."""
+    facets = outward_faces(points, faces)
+    if facets is not None:
+        return facets, 0.0, points[0], 1.0
+    qhull = ConvexHull(points)
+    facets = outward_facets(qhull)
+    assert facets is not None  # the hull of a body is one closed surface
+    planes = qhull.equations * [1, 1, 1, -1]
+    dent, deepest = _deepest_dent(points, faces, facets, planes, 0.01 * DENT_TOLERANCE)
+    distinct = distinct_rows(np.sort(faces, axis=1))[0]  # those with the same vertices count once
+    covered = float(areas(points[faces[distinct]]).sum() / areas(points[facets]).sum())
+    return facets, dent, deepest, covered
 
 
 def one_sided_distances(

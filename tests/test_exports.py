@@ -142,15 +142,38 @@ def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
 
 @pytest.mark.parametrize("ending", [".stl", ".glb", ".pcd", ".ply", ".obj", ".csv"])
 def test_a_shape_is_not_written_where_float32_would_lose_it(tmp_path, ending):
+    """Whatever its bound: normals are lost before places are."""
     ball = trimesh.creation.icosphere(3, radius=12)
-    rows = surface_table(ball, np.full(len(ball.vertices), 0.02))
+    rows = surface_table(ball, np.full(len(ball.vertices), 0.2))
     rows["x"] += 801234.0
     shape = Shape(rows, None if ending in (".pcd", ".csv") else ball.faces.astype(np.int32), "mm")
     if ending in (".stl", ".glb", ".pcd"):
         with pytest.raises(InputError, match=r"in float32, whose numbers are 62 µm apart at coordinates of 801.246 m"):
             write_shape(shape, tmp_path / f"far{ending}")
-        rows["bound"] = 0.2  # more than the steps of float32
+        rows["x"] -= 801234.0
     write_shape(shape, tmp_path / f"far{ending}")
+
+
+@pytest.mark.parametrize("ending", [".stl", ".glb"])
+@pytest.mark.parametrize("far", [1e2, 3e3, 1e4, 3e4, 1e5, 1e6])
+@pytest.mark.parametrize("name", ["ball", "box", "ring"])
+def test_what_the_program_would_not_read_it_does_not_write(tmp_path, name, far, ending):
+    """Against its own reader: what is written, at any distance from the origin, is read as the body that it was."""
+    body = {
+        "ball": trimesh.creation.icosphere(3, radius=12),
+        "box": trimesh.creation.box((20, 24, 28)),
+        "ring": trimesh.creation.torus(12, 4, major_sections=24, minor_sections=12),
+    }[name]
+    body.apply_translation([far, -far / 3, 0])
+    shape = Shape(surface_table(body, None), body.faces.astype(np.int32), "mm")
+    try:
+        write_shape(shape, tmp_path / f"far{ending}")
+    except InputError:
+        assert far >= (1e5 if name == "ring" else 3e3)
+        return
+    back = scan3d.load_mesh(tmp_path / f"far{ending}")
+    assert back.volume == pytest.approx(body.volume, rel=1e-3)
+    assert far < 1e6
 
 
 def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):

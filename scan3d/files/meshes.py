@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
-from scan3d.comparison import deepest_dent
+from scan3d.comparison import against_own_hull
 from scan3d.errors import InputError
-from scan3d.files.shapes import Shape, parse_ply, read_glb, triangulated
+from scan3d.files.shapes import Shape, float32_step, lost_in_float32, parse_ply, read_glb, triangulated
 from scan3d.files.text import check_readable, decoded
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
@@ -135,7 +134,7 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
             f"diagonal, where at least {FLAT:g} is needed); check that the file holds a solid body"
         )
 
-    outer, dent, deepest, covered = _against_hull(points, faces)
+    outer, dent, deepest, covered = against_own_hull(points, faces)
     place = center + diagonal * deepest
     hollow = not hull and dent > hulls.DENT_TOLERANCE
     if hollow:
@@ -171,33 +170,16 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
     return body
 
 
-def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
-    """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
-    where they are deepest (3,), and the fraction of its area that they cover."""
-    facets = hulls.outward_faces(points, faces)
-    if facets is not None:
-        return facets, 0.0, points[0], 1.0
-    qhull = ConvexHull(points)
-    facets = hulls.outward_facets(qhull)
-    assert facets is not None  # the hull of a body is one closed surface
-    planes = qhull.equations * [1, 1, 1, -1]
-    dent, deepest = deepest_dent(points, faces, facets, planes, 0.01 * hulls.DENT_TOLERANCE)
-    distinct = triangles.distinct_rows(np.sort(faces, axis=1))[0]  # those with the same vertices count once
-    covered = float(triangles.areas(points[faces[distinct]]).sum() / triangles.areas(points[facets]).sum())
-    return facets, dent, deepest, covered
-
-
 def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None:
     """Raises InputError if a thickness or a dent is within the rounding of a file far from the origin to float32."""
     in_file = vertices / scale
     largest = float(np.abs(in_file).max())
     with np.errstate(all="ignore"):  # beyond the range of float32
-        single, step = in_file.astype(np.float32), float(np.spacing(np.float32(largest)))
-    is_coarse = step > hulls.DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0))
-    if is_coarse and size <= np.sqrt(3) * step * scale and np.abs(single - in_file).max() <= 1e-12 * largest:
+        single = in_file.astype(np.float32)
+    if lost_in_float32(in_file, size / scale) and np.abs(single - in_file).max() <= 1e-12 * largest:
         raise InputError(
-            f"{name} has lost its shape in float32, whose numbers are {step:.2g} apart at its coordinates of up to "
-            f"{largest:.6g}; move the body to the origin and export it again, or export it in double precision"
+            f"{name} has lost its shape in float32, whose numbers are {float32_step(in_file):.2g} apart at its coordinates of "
+            f"up to {largest:.6g}; move the body to the origin and export it again, or export it in double precision"
         )
 
 

@@ -28,9 +28,11 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
 from scan3d.choices import EXPORTS, one_of
 from scan3d.cloud import Cloud
+from scan3d.comparison import against_own_hull
 from scan3d.errors import InputError
 from scan3d.files.text import check_readable, rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
+from scan3d.geometry.hulls import DENT_TOLERANCE
 from scan3d.geometry.triangles import collapsed, distance_of_readers, dot, representatives, spanned, without_unused
 from scan3d.shown import Exported, Rows
 from scan3d.units import UNITS_M, check_unit, length, lengths
@@ -447,32 +449,54 @@ def write_shape(
     return written | {"left_out": left_out}
 
 
+def float32_step(points: Array) -> float:
+    """How far apart the numbers of float32 are at the largest coordinate of points (n, 3); infinite or NaN beyond its range."""
+    with np.errstate(all="ignore"):
+        return float(np.spacing(np.float32(np.abs(points).max())))
+
+
+def lost_in_float32(points: Array, size: float) -> bool:
+    """Whether a thickness, or the depth of a dent, of a body of points (n, 3) may be nothing but their rounding to float32.
+
+    What is read and what is written is judged alike.
+    """
+    step = float32_step(points)
+    return bool(step > DENT_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0)) and size <= np.sqrt(3) * step)
+
+
 def _check_digits(shape: Shape, ending: str) -> None:
-    """Raises InputError if float32 rounds the points by more than the bound to which they are known."""
+    """Raises InputError if float32 rounds the points by more than 1e-4 of their extent, or so that no body would be read."""
     points = shape.points[np.isfinite(shape.points).all(axis=1)]
     if len(points) < 2:
         return
-    bound = shape.columns.get("bound", np.zeros(0))
-    bound = bound[np.isfinite(bound)]
     with np.errstate(all="ignore"):  # beyond the range of float32
-        allowed = max(1e-4 * np.linalg.norm(np.ptp(points, axis=0)), np.median(bound) if len(bound) else 0.0)
-        largest = np.abs(points).max()
-        step = np.spacing(np.float32(largest))
-    if step > allowed > 0:
+        diagonal, step = float(np.linalg.norm(np.ptp(points, axis=0))), float32_step(points)
+    is_lost = step > 1e-4 * diagonal > 0
+    if not is_lost and shape.faces is not None and len(points) == len(shape.rows) and step > DENT_TOLERANCE * diagonal:
+        single = _stored(shape, ending)
+        extent = float(np.linalg.norm(np.ptp(single, axis=0)))
+        _, dent, _, _ = against_own_hull((single - single.mean(axis=0)) / extent, shape.faces.astype(np.int64))
+        is_lost = dent > DENT_TOLERANCE and lost_in_float32(single, dent * extent)
+    if is_lost:
         double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
         raise InputError(
             f"{ending} is in float32, whose numbers are {length(step, shape.unit, digits=2)} apart at coordinates of "
-            f"{length(largest, shape.unit, digits=6)}, so that the shape of this {shape.what} would be lost; choose "
-            f"{one_of(double)}, which keep all digits, or scan the body nearer to the origin"
+            f"{length(np.abs(points).max(), shape.unit, digits=6)}, so that the shape of this {shape.what} would be lost; "
+            f"choose {one_of(double)}, which keep all digits, or scan the body nearer to the origin"
         )
+
+
+def _stored(shape: Shape, ending: str) -> Array:
+    """The points (n, 3) as a file of a format has them."""
+    points = shape.points * (UNITS_M[shape.unit] if ending == _METRES else 1.0)
+    with np.errstate(over="ignore"):
+        return points.astype(np.float32).astype(np.float64) if ending in _SINGLE else points
 
 
 def _readable(shape: Shape, ending: str) -> Shape:
     """The surface with the vertices merged that readers of the format would merge, and without triangles between these."""
     assert shape.faces is not None
-    points = shape.points * (UNITS_M[shape.unit] if ending == ".glb" else 1.0)
-    if ending in _SINGLE:
-        points = points.astype(np.float32).astype(np.float64)
+    points = _stored(shape, ending)
     if not np.isfinite(points).all() or len(points) == 0:
         return shape
     chosen = representatives(points, distance_of_readers(points))
