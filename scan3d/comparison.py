@@ -41,6 +41,7 @@ from scan3d.geometry.hulls import (
     outward_facets,
     prepare_facets,
 )
+from scan3d.geometry.shells import whole_body
 from scan3d.geometry.triangles import areas, distance_to, distinct_rows, dot, halve, longest_first, without_unused
 from scan3d.shown import Described, Rows, described
 from scan3d.units import angle, length, number, point, share
@@ -111,7 +112,8 @@ class Comparison(Described):
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     """Compare a reconstructed surface with the true mesh.
 
-    Either may be open, non-convex or in several parts.  Averages are taken over at most 20 000 points of each surface, spread
+    Either may be open, non-convex or in several parts; closed shells that overlap, touch or lie in each other are taken for the
+    body that they enclose together.  Averages are taken over at most 20 000 points of each surface, spread
     by area and not at random, so that the same meshes give the same numbers.  The winding of the faces gives the direction of
     their normals.  Raises InputError if either has no faces, coordinates that aren't finite, or no extent.  The methods are
     described in ``scan3d/comparison.py``.
@@ -183,6 +185,7 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
 def _prepared(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[tuple[Body, Body], Array, float, float]:
     """Both meshes at the size of their common bounding box, its middle (3,), its diagonal, and that of the mesh alone."""
     boxes = np.array([bounding_box(surface, "surface"), bounding_box(mesh, "mesh")])
+    surface, mesh = whole_body(surface), whole_body(mesh)
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     centre, scale = (low + high) / 2, float(np.linalg.norm(high - low))
     diagonal = float(np.linalg.norm(boxes[1, 1] - boxes[1, 0]))

@@ -22,6 +22,7 @@ from scan3d.files.shapes import Shape, float32_step, lost_in_float32, parse_ply,
 from scan3d.files.text import check_readable, decoded
 from scan3d.geometry import hulls, triangles
 from scan3d.geometry.distance import bounding_box
+from scan3d.geometry.shells import united
 from scan3d.units import UNITS_M, check_unit, share
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
@@ -55,8 +56,8 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "
     Of a body that is convex within `DENT_TOLERANCE` the triangulated convex hull is returned, watertight and outward, with the
     hull's vertices only: it differs from its file by at most the dent, so that everything else may rely on exact hulls.  Of
     others the mesh itself is returned, with equal vertices merged and faces turned outwards; it may have holes and cavities,
-    and several parts, which may overlap.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that
-    size must be brought to unit size before they are computed.)
+    and several parts, and is the union of shells that overlap, touch or lie in each other.  (`trimesh` gives zero normals to
+    triangles below 1e-13 square units; a body of that size must be brought to unit size before they are computed.)
 
     Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in
     `unit`), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
@@ -110,10 +111,13 @@ def _merged(vertices: Array, faces: Index) -> tuple[Array, Index]:
     return vertices[used[first]], number[faces]
 
 
-def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float = 1.0) -> trimesh.Trimesh:
+def _judged(
+    name: str, vertices: Array, faces: Index, hull: bool, scale: float = 1.0, in_file: int | None = None
+) -> trimesh.Trimesh:
     """The body of distinct vertices (v, 3) and faces (t, 3), as `load_mesh` describes it.
 
-    `name` is that of the mesh in messages, and `scale` what its coordinates were multiplied by.
+    `name` is that of the mesh in messages, `scale` what its coordinates were multiplied by, and `in_file` how many faces the
+    mesh has where these are those of the union of its shells.
     """
     if len(vertices) < 4:
         _check_digits(name, vertices, scale, 0.0)
@@ -136,11 +140,17 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
 
     outer, dent, deepest, covered = against_own_hull(points, faces)
     place = center + diagonal * deepest
-    hollow = not hull and dent > hulls.DENT_TOLERANCE
+    is_dented = bool(dent > hulls.DENT_TOLERANCE)
+    hollow = is_dented and not hull
     if hollow:
         _check_digits(name, vertices, scale, dent * diagonal)
         body = _closed(name, vertices, faces)
-    else:
+    if is_dented and in_file is None:  # a body without dents has no walls within it
+        points, own = (np.asarray(body.vertices), np.asarray(body.faces)) if hollow else (vertices, faces)
+        union = united(points, own)
+        if union is not None or len(own) < len(faces):  # walls of two faces on one another are gone already
+            return _judged(name, *_merged(*(union or (points, own))), hull, scale, len(faces))
+    if not hollow:
         if not hull and (bare := 1 - covered) > OPEN_TOLERANCE:
             raise InputError(
                 f"{name} is open: {share(bare)} of its convex hull has no surface, where a closed body is expected; "
@@ -150,13 +160,13 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float =
         body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
     hulls.judged_convex(body, not hollow)
     body.metadata.update(
-        file_faces=len(faces),
+        file_faces=len(faces) if in_file is None else in_file,
         dent=dent * diagonal,
         dent_relative=dent,
         hull=hull,
         geometry_sha256=_geometry(body),
     )
-    is_dented, is_open = bool(dent > hulls.DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
+    is_open = bool(1 - covered > OPEN_TOLERANCE)
     if not hollow and (is_dented or is_open):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         filled = {

@@ -278,14 +278,18 @@ def outward_facets(qhull: ConvexHull) -> Index | None:
 
 def is_convex(mesh: Any) -> bool:
     """Whether a closed `trimesh.Trimesh` is convex within rounding, as judged when it was read, or else by its shape."""
-    number, convex = mesh.metadata.get("convex", (None, False))
-    if number != hash(mesh.vertices):
+    if not was_judged(mesh):
         deviation = distance_to_hull(mesh)
         vertices = np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]]
         # twice, because a body that was judged may have been moved, which rounds its vertices
         convex = bool(deviation <= 2 * DENT_TOLERANCE * float(np.linalg.norm(np.ptp(vertices, axis=0))))
         judged_convex(mesh, convex)
-    return bool(convex)
+    return bool(mesh.metadata["convex"][1])
+
+
+def was_judged(mesh: Any) -> bool:
+    """Whether a mesh has been judged convex or not, and its vertices have stayed."""
+    return bool(mesh.metadata.get("convex", (None,))[0] == hash(mesh.vertices))
 
 
 def judged_convex(mesh: Any, convex: bool) -> None:
