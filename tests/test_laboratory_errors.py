@@ -332,3 +332,12 @@ def test_a_name_that_is_cut_in_two_is_no_empty_column(tmp_path):
     rows = [f"{HEADER},note", *(f"{line}," for line in lines()[1:-1]), lines()[-1]]
     with pytest.raises(InputError, match="line 71 has 14 values, expected 15; it ends in column 14: is it cut off"):
         import_table(put(tmp_path, rows), data())
+
+
+def test_a_quote_that_is_never_closed_is_no_cell(tmp_path):
+    """Also where it would hold more than a cell may."""
+    rows = [*lines()[:30], '"' + "1," * 100_000, *lines()[30:]]
+    with pytest.raises(InputError, match=r"log\.csv: line"):
+        import_table(put(tmp_path, rows), data())
+    with pytest.raises(InputError, match=r"log\.csv: line"):
+        guess_map(tmp_path / "log.csv")

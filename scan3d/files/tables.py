@@ -52,7 +52,10 @@ class Layout:
     def cells(self, line: str) -> list[str]:
         """The cells of a line, also of a comment."""
         bare = line.lstrip().removeprefix(self.comment) if self.comments(line) else line
-        return [cell.strip() for cell in _split([bare], self.delimiter)[0]]
+        try:
+            return [cell.strip() for cell in _split([bare], self.delimiter)[0]]
+        except csv.Error:  # longer than any cell
+            return [bare]
 
     def comments(self, line: str) -> bool:
         return bool(self.comment) and line.lstrip().startswith(self.comment)

@@ -17,8 +17,9 @@ OPTIONS = ("slices", "samples", "sweeps", "friction", "clearance", "tolerance", 
            "unit", "method", "model")  # fmt: skip
 WORDS = ("auto", "hull", "bracket", "support", "regression", "poisson", "adaptive", "uniform", "fixed", "xyz", "y", "1,1,0",
          "spatial", "0:0.4", "m", "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
-KINDS = ("mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export", "body", "body", "columns",
-         "columns", *rig_inputs.KINDS)  # fmt: skip
+# Half of the inputs are recordings and tables of measurements.
+RECORDINGS = ("table", "rod", "columns", "columns", "thin", "thin", "thin", *rig_inputs.TABLES)
+KINDS = ("mesh", "compare", "options", "options", "config", "show", "show", "export", "body", "body", *rig_inputs.KINDS)
 METHODS = ("auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting")
 UNITS = ("mm", "m", "um", "in")
 SMALL = ("--slices=4", "--samples=20")
@@ -120,6 +121,32 @@ def columns(text, chance):
     return "\n".join([head, *rows]) + "\n"
 
 
+def thinned(text, chance):
+    """A recording of which little is left: some sweeps, few rows of each, one contact in a slice or in all, or a single row."""
+    head, *lines = text.splitlines()
+    names = head.split(",")
+    rows = [dict(zip(names, line.split(","), strict=True)) for line in lines]
+    touching = [any(float(row[name]) for name in names if name[0] in "fm") for row in rows]
+    sweeps = list(dict.fromkeys(row["sweep"] for row in rows))
+    kept = [True] * len(rows)
+    for _ in range(chance.randint(1, 2)):
+        how = chance.choice(("sweeps", "sweep", "rows", "row", "contact", "height", "ends"))
+        some = {*chance.sample(sweeps, chance.choice((1, 1, 2, 3, len(sweeps) // 2, len(sweeps))))}
+        left = {}
+        for k, row in enumerate(rows):
+            count = left[row["sweep"]] = left.get(row["sweep"], 0) + (touching[k] if how == "contact" else 1)
+            kept[k] &= {
+                "sweeps": row["sweep"] in some,
+                "sweep": row["sweep"] == min(some),
+                "rows": row["sweep"] not in some or chance.random() < 0.1,
+                "row": k == chance.randrange(len(rows)),
+                "contact": row["sweep"] not in some or not touching[k] or count == 1,
+                "height": row["z_m"] == rows[0]["z_m"] or row["sweep"] in some,
+                "ends": row["sweep"] not in some or count <= 2,
+            }[how]
+    return "\n".join([head, *(line for line, keep in zip(lines, kept, strict=True) if keep), ""])
+
+
 def attempt(chance, source, folder):
     """Copy the files of the source into a folder, change some, and return the command to run there."""
     shutil.copytree(source, folder, dirs_exist_ok=True)
@@ -129,8 +156,8 @@ def attempt(chance, source, folder):
             path = folder / name
             path.write_bytes(mutated(path.read_bytes(), chance))
 
-    kind = chance.choice(KINDS)
-    if kind in rig_inputs.KINDS:
+    kind = chance.choice(chance.choice((RECORDINGS, KINDS)))
+    if kind in (*rig_inputs.KINDS, *rig_inputs.TABLES):
         return rig_inputs.attempt(kind, chance, folder, change, NUMBERS, columns)
     mesh = chance.choice(MESHES)
     hull = chance.choice(([], ["--hull"]))
@@ -158,6 +185,14 @@ def attempt(chance, source, folder):
         ]
         scan += chance.choice(([], ["--spacing=adaptive"], ["--axis=1,2,3"], ["--axis=xyz"], ["--noise=1e-3"]))
         return chance.choice((scan, scan, ["compare", "body.off", "other.off"], ["compare", "body.off", "box.stl"]))
+    if kind == "thin":
+        name = chance.choice(("log", f"{rig_inputs.FOLDER}/specimen"))
+        path = folder / f"{name}.csv"
+        path.write_text(thinned(path.read_text(), chance))
+        options = chance.choice(
+            ([], [], ["--model=planar"], ["--model=spatial"], [f"--method={chance.choice(METHODS)}"])
+        )
+        return ["reconstruct", f"{name}.csv", "--out", "o", *options, *chance.choice(([], ["--truth", "box.stl"]))]
     if kind in ("table", "rod", "columns"):
         if kind == "columns":
             (folder / "log.csv").write_text(columns((folder / "log.csv").read_text(), chance))

@@ -6,7 +6,11 @@ import io
 import os
 from pathlib import Path
 
+import h5py
+import numpy as np
+import pandas
 import trimesh
+from scipy.io import savemat
 
 import planar
 from scan3d.cli import main
@@ -14,7 +18,9 @@ from scan3d.files.recordings import write_recording
 from scan3d.pictures import canvas
 from tests import rigs
 
-KINDS = ("plan", "plan", "poses", "poses", "import", "import", "import", "calibrate", "next", "next", "sweep")
+KINDS = ("plan", "plan", "poses", "poses", "next", "next")
+TABLES = ("import", "import", "format", "format", "format", "calibrate", "sweep")
+"""What is measured: tables and recordings."""
 FOLDER = "rig"
 """Name of the folder with the right files."""
 _FAULTS = rigs.FAULTS.replace("rate_hz = 40", "rate_hz = 20\nspeed_mm_s = 60.0")
@@ -66,6 +72,38 @@ def _run(*argv):
     assert code == 0, (argv, err.getvalue())
 
 
+def _written(path, chance):
+    """The raw table in another format than text with commas, named after its ending: perhaps with two rates or times of day."""
+    table = pandas.read_csv(path)
+    name = path.with_suffix(chance.choice((".npz", ".npy", ".mat", ".h5", ".parquet", ".xlsx", ".lvm", ".txt", ".tsv")))
+    if chance.random() < 0.2:
+        table["t_s"] = [f"23:{59 if t < 1 else 0:02}:{t % 60:09.6f}" for t in table["t_s"]]
+    arrays = {one: table[one].to_numpy() for one in table if table[one].dtype != object}
+    if chance.random() < 0.2:
+        arrays = {one: values[:: chance.choice((1, 2))] for one, values in arrays.items()}
+    if name.suffix == ".npz":
+        np.savez_compressed(name, **arrays)
+    elif name.suffix == ".npy":
+        np.save(name, chance.choice((table.to_numpy(), table.to_records(index=False), next(iter(arrays.values())))))
+    elif name.suffix == ".mat":
+        savemat(name, chance.choice((arrays, {"log": arrays})), do_compression=chance.random() < 0.5)
+    elif name.suffix == ".h5":
+        with h5py.File(name, "w") as file:
+            for one, values in arrays.items():
+                file[f"log/{one}"] = values
+    elif name.suffix == ".parquet":
+        table.to_parquet(name)
+    elif name.suffix == ".xlsx":
+        table.head(60).to_excel(name, index=False)
+    else:
+        text = table.to_csv(sep="\t" if name.suffix != ".txt" else ";", index=False, decimal=chance.choice((".", ",")))
+        if name.suffix == ".lvm":
+            head = "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\n***End_of_Header***\t\n\n***End_of_Header***\n"
+            text = head + text.replace("\n", "\tComment\n", 1)
+        name.write_bytes(text.encode(chance.choice(("utf-8", "utf-16", "latin-1"))))
+    return name.name
+
+
 def attempt(kind, chance, folder, change, numbers, columns):
     """Change some of the files in a folder's `FOLDER`, and return the command to run in the folder.
 
@@ -76,6 +114,13 @@ def attempt(kind, chance, folder, change, numbers, columns):
     columns
         changes the columns of a table at random.
     """
+    if kind == "format":
+        name = _written(folder / FOLDER / "raw.csv", chance)
+        if chance.random() < 0.5:
+            change(f"{FOLDER}/{chance.choice((name, name, 'raw_map.toml'))}")
+        guess = ["--map", "first.toml", "--guess"]
+        known = ["--map", f"{FOLDER}/raw_map.toml", "--out", "o.csv"]
+        return ["import", f"{FOLDER}/{name}", *chance.choice((guess, known, known))]
     names = {
         "poses": ("poses.csv", "poses.csv", "poses.toml", "faults.toml", "faults.toml"),
         "import": ("raw.csv", "raw.csv", "raw_map.toml", "raw_map.toml", "rig.toml", "specimen.csv"),
