@@ -82,6 +82,19 @@ def test_units_that_files_state_are_read(tmp_path, ending, unit):
         load_mesh(path, unit="ell")
 
 
+def test_a_mesh_at_many_places_of_a_scene_is_counted_before_it_is_read(tmp_path, monkeypatch):
+    scene = trimesh.Scene(geometry={"ball": trimesh.creation.icosphere(3)})
+    for k in range(50):
+        scene.graph.update(
+            f"node {k}", geometry="ball", matrix=trimesh.transformations.translation_matrix([3 * k, 0, 0])
+        )
+    path = tmp_path / "scene.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    assert path.stat().st_size < 1e5
+    monkeypatch.setattr("scan3d.workers.memory_bytes", lambda: 5e6)
+    assert "reading all parts of it needs about" in error(path)
+
+
 def test_a_glb_of_another_program_is_in_metres(tmp_path, capsys):
     glb, stl = save(tmp_path, box(0.03, 0.02, 0.012), "box.glb"), save(tmp_path, box(30, 20, 12), "box.stl")
     assert load_mesh(glb).extents == pytest.approx([30, 20, 12])

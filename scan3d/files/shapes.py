@@ -36,6 +36,7 @@ from scan3d.geometry.hulls import DENT_TOLERANCE
 from scan3d.geometry.triangles import collapsed, distance_of_readers, dot, representatives, spanned, without_unused
 from scan3d.shown import Exported, Rows
 from scan3d.units import UNITS_M, check_unit, length, lengths
+from scan3d.workers import check_memory
 
 # Types of PLY by the codes of numpy, which some programs call as numpy does, such as float32.
 _PLY_TYPES = {
@@ -622,6 +623,8 @@ _COMPONENTS = {"|i1": 5120, "|u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, 
 _VECTORS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _TYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
 _WIDTHS = {name: width for width, name in _VECTORS.items()}
+# Bytes for a vertex of a GLB, as it is stored, where its node puts it, and among all.
+_MEMORY_PER_VALUE = 100
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _TRIANGLES = 4
 # Beginnings of the names of extensions that a file may require: those that concern its looks only, and one that is read.
@@ -719,7 +722,7 @@ def read_glb(data: bytes, scale: float = 1.0) -> tuple[Array, Index]:
     nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
     below = {child for node in nodes for child in node.get("children", ())}
     roots = scenes[tree.get("scene", 0)].get("nodes", []) if scenes else sorted({*range(len(nodes))} - below)
-    parts = []
+    parts, size = [], 0
     waiting, seen = [(root, np.diag([scale, scale, scale, 1.0])) for root in roots], set()
     while waiting:
         number, outer = waiting.pop()
@@ -738,6 +741,8 @@ def read_glb(data: bytes, scale: float = 1.0) -> tuple[Array, Index]:
             if (mode := primitive.get("mode", _TRIANGLES)) > _TRIANGLES:
                 raise InputError("its triangles are stored as strips or fans; export it as plain triangles")
             if mode == _TRIANGLES:
+                size += content.size(primitive)  # a mesh may stand at many places
+                check_memory(_MEMORY_PER_VALUE * size, "reading all parts of it", "take a smaller file")
                 points, faces = content.triangles(primitive)
                 faces = faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]  # a mirror image
                 parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
@@ -781,6 +786,11 @@ class _Content:
         self._binary = binary
         if uri := next((buffer["uri"] for buffer in tree["buffers"] if "uri" in buffer), ""):
             raise InputError(f"its data lie in another place, {uri[:80]}; export it as one GLB")
+
+    def size(self, primitive: Mapping[str, Any]) -> int:
+        """How many vertices and corners of triangles a part has."""
+        used = [primitive["attributes"]["POSITION"], *([primitive["indices"]] if "indices" in primitive else [])]
+        return sum(int(self._tree["accessors"][number]["count"]) for number in used)
 
     def triangles(self, primitive: Mapping[str, Any]) -> tuple[Array, Index]:
         """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles."""

@@ -126,23 +126,25 @@ def thinned(text, chance):
     head, *lines = text.splitlines()
     names = head.split(",")
     rows = [dict(zip(names, line.split(","), strict=True)) for line in lines]
-    touching = [any(float(row[name]) for name in names if name[0] in "fm") for row in rows]
-    sweeps = list(dict.fromkeys(row["sweep"] for row in rows))
+    moments = [abs(float(row["mz_Nm"])) for row in rows]
+    touching = [moment > 0.05 * max(moments) for moment in moments]
+    heights = [round(float(row["z_m"]), 3) for row in rows]
     kept = [True] * len(rows)
     for _ in range(chance.randint(1, 2)):
-        how = chance.choice(("sweeps", "sweep", "rows", "row", "contact", "height", "ends"))
-        some = {*chance.sample(sweeps, chance.choice((1, 1, 2, 3, len(sweeps) // 2, len(sweeps))))}
-        left = {}
-        for k, row in enumerate(rows):
-            count = left[row["sweep"]] = left.get(row["sweep"], 0) + (touching[k] if how == "contact" else 1)
+        how = chance.choice(("only", "sweep", "rows", "row", "contact", "contact", "ends"))
+        groups = chance.choice(([row["sweep"] for row in rows], heights))
+        known = sorted({*groups})
+        some = {*chance.sample(known, chance.choice((1, 1, 2, len(known))))}
+        single, left = chance.randrange(len(rows)), dict.fromkeys(known, 0)
+        for k, group in enumerate(groups):
+            left[group] += touching[k] if how == "contact" else 1
             kept[k] &= {
-                "sweeps": row["sweep"] in some,
-                "sweep": row["sweep"] == min(some),
-                "rows": row["sweep"] not in some or chance.random() < 0.1,
-                "row": k == chance.randrange(len(rows)),
-                "contact": row["sweep"] not in some or not touching[k] or count == 1,
-                "height": row["z_m"] == rows[0]["z_m"] or row["sweep"] in some,
-                "ends": row["sweep"] not in some or count <= 2,
+                "only": group in some,
+                "sweep": group == min(some),
+                "rows": group not in some or chance.random() < 0.1,
+                "row": k == single,
+                "contact": group not in some or not touching[k] or left[group] == 1,
+                "ends": group not in some or left[group] <= 2,
             }[how]
     return "\n".join([head, *(line for line, keep in zip(lines, kept, strict=True) if keep), ""])
 
