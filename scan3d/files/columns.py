@@ -30,8 +30,9 @@ PARQUET = ".parquet"
 SHEETS = (".xlsx", ".xlsm")
 _MISSING = "Parquet files need pyarrow: pip install 'scan3d[parquet]', or take a .csv"
 _PICKLED = "holds Python objects, which are not read because they can run programs; save plain arrays of numbers"
+_TWO_RATES = "bring two rates to the same times, as by interpolation, and save arrays of one length"
 # An import holds each number up to about so many times, and needs so many bytes for a text.
-_COPIES, _TEXT = 6, 100
+_COPIES, _TEXT, _WIDEST = 6, 100, 100
 
 
 class _Stored(NamedTuple):
@@ -41,9 +42,12 @@ class _Stored(NamedTuple):
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     load: Callable[[], NDArray[Any]]
+    refused: str = ""
+    """Why it is not read, if it is not."""
 
     def columns(self) -> list[str]:
-        return [*_split_array(self.name, np.empty((0, *self.shape[1:]), self.dtype))]
+        """Their names, of an array that is wider than any log those of the first ones."""
+        return [*_split_array(self.name, np.empty((0, *(min(n, _WIDEST) for n in self.shape[1:])), self.dtype))]
 
     def memory(self) -> float:
         """Bytes that its columns need at least."""
@@ -57,7 +61,7 @@ class Columns(NamedTuple):
     values: dict[str, NDArray[Any]]
     """(n,) each by name: numbers as float64 (NaN where there is none), times in seconds, or text."""
     others: dict[str, str]
-    """What the file has beside them, by name, with the clause that says why it is no column: ``has 400 rows, ...``."""
+    """What the file has beside them, by name, with the clause that says why it is no column, and what to do."""
 
 
 def check_single(file: str, header: Sequence[str], names: Iterable[str]) -> None:
@@ -77,8 +81,13 @@ def read_columns(path: Path) -> Columns:
         arrays = list(_READERS[path.suffix.lower()](path, opened))
         names = [one.name for one in arrays]
         check_single(path.name, names, sorted({*names}))
-        kinds = [one for one in arrays if one.dtype.kind in "iufbmMUSOV" and len(one.shape) in (1, 2)]
+        refused = {one.name: one.refused for one in arrays if one.refused}
+        kinds = [
+            one for one in arrays if one.dtype.kind in "iufbmMUSOV" and len(one.shape) in (1, 2) and not one.refused
+        ]
         lengths = Counter(one.shape[0] for one in kinds)
+        if not lengths and refused:
+            raise InputError(f"{path.name} {next(iter(refused.values()))}")
         if not lengths:
             raise InputError(f"{path.name} holds no arrays of numbers of one or two axes, which are columns of a table")
         rows = max(lengths, key=lambda length: (lengths[length], length))
@@ -88,12 +97,12 @@ def read_columns(path: Path) -> Columns:
         for one in chosen:
             columns |= _split_array(one.name, one.load())
         others = {
-            name: f"has {one.shape[0]} rows, and {chosen[0].columns()[0]!r}, as most arrays of the file, {rows}"
+            name: f"has {one.shape[0]} rows, and {chosen[0].columns()[0]!r}, as most arrays of the file, {rows}; {_TWO_RATES}"
             for one in kinds
             if one.shape[0] != rows
             for name in one.columns()
         }
-        return Columns({name: _values(column) for name, column in columns.items()}, others)
+        return Columns({name: _values(column) for name, column in columns.items()}, others | refused)
 
 
 def _check_size(path: Path, size: float) -> None:
@@ -133,14 +142,14 @@ def _loaded(name: str, values: NDArray[Any]) -> _Stored:
 def _numpy(path: Path, opened: ExitStack) -> Iterator[_Stored]:
     if not zipfile.is_zipfile(path):
         with open(path, "rb") as file:
-            yield _npy(path, "", file, lambda: np.load(path, allow_pickle=False))
+            yield _npy("", file, lambda: np.load(path, allow_pickle=False))
         return
     archive = opened.enter_context(zipfile.ZipFile(path))
     for member in archive.infolist():
         if member.filename.endswith(".npy"):
             name = member.filename.removesuffix(".npy")
             with archive.open(member) as file:
-                yield _npy(path, name, file, partial(_member, archive, member))
+                yield _npy(name, file, partial(_member, archive, member))
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
@@ -148,17 +157,15 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
         return np.lib.format.read_array(file, allow_pickle=False)
 
 
-def _npy(path: Path, name: str, file: Any, load: Callable[[], NDArray[Any]]) -> _Stored:
-    """An array in numpy's format, whose header is read.  Raises InputError for objects, and ValueError for other contents."""
+def _npy(name: str, file: Any, load: Callable[[], NDArray[Any]]) -> _Stored:
+    """An array in numpy's format, whose header is read.  Raises ValueError for other contents."""
     start = file.read(8)
     if not start.startswith(np.lib.format.MAGIC_PREFIX) and start[:1] == b"\x80":  # how a pickle begins
-        raise InputError(f"{path.name} {_PICKLED}")
+        return _Stored(name, (), np.dtype(object), load, _PICKLED)
     version = np.lib.format.read_magic(io.BytesIO(start))
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(file)
-    if dtype.hasobject:
-        raise InputError(f"{path.name}{f': {name}' if name else ''} {_PICKLED}")
-    return _Stored(name, shape, dtype, load)
+    return _Stored(name, shape, dtype, load, _PICKLED if dtype.hasobject else "")
 
 
 def _matlab(path: Path, opened: ExitStack) -> Iterator[_Stored]:

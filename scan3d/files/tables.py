@@ -123,10 +123,7 @@ class Table:
     def refuse_other(self, name: str, where: str = "") -> None:
         """Raise InputError for a name of what the file has, but not as a column; `where` is the clause that asks for it."""
         if name in self.others:
-            raise InputError(
-                f"{self.name}: {name!r}{where} {self.others[name]}; bring two rates to the same times, as by interpolation, "
-                "and save arrays of one length"
-            )
+            raise InputError(f"{self.name}: {name!r}{where} {self.others[name]}")
 
     def place(self, row: int) -> str:
         """Where a row stands, for messages: ``log.csv: line 7``."""

@@ -1,11 +1,16 @@
 """Odd meshes, recordings, settings, reports and clouds, each with what a command should answer to it."""
 
+import io
 import json
 import os
+import pickle
 import struct
+import warnings
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import trimesh
 
 import scan3d
@@ -43,7 +48,7 @@ def make(folder):
         pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"})
     finally:
         canvas.can_render = could
-    return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder)]
+    return [*_meshes(folder, box), *_recordings(folder), *_tables(folder), *_options(), *_configs(folder)]
 
 
 # --- meshes ---
@@ -182,6 +187,55 @@ def _recordings(folder):
 
 def _replaced(toml, name, value):
     return "\n".join(f"{name} = {value}" if line.startswith(f"{name} =") else line for line in toml.splitlines())
+
+
+# --- tables of a rig ---
+
+
+def _tables(folder):
+    """Tables that are refused in a sentence, and before they are loaded."""
+    rod = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n"
+    named = 'time = "t"\nposition = ["x", "y", "z"]\norientation = {quaternion = ["w", "a", "b", "c"]}\n'
+    columns = f'[columns]\n{named}force = ["f", "g", "h"]\nmoment = ["k", "l", "m"]\n'
+    text = f'# für die Waage\n{columns}[units]\nlength = "mm"\nforce = "N"\nmoment = "N m"\n{rod}'
+    (folder / "map.toml").write_text(text, encoding="utf-16")
+    (folder / "latin.toml").write_text(text, encoding="latin-1")
+    names = "txyzwabcfghklm"
+    rows = {name: np.zeros(10 if name in "fghklm" else 20) for name in names}
+    np.savez(folder / "rates.npz", **rows)
+    np.savez(folder / "pickled.npz", **{name: np.array([None]) for name in names})
+    (folder / "pickle.npy").write_bytes(pickle.dumps([1.0]))
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(folder / "huge.npz", "w") as file:
+        file.writestr("t.npy", head.getvalue() + bytes(100))
+    with warnings.catch_warnings(), zipfile.ZipFile(folder / "twice.npz", "w") as file:
+        warnings.simplefilter("ignore")
+        for _ in range(2):
+            file.writestr("t.npy", head.getvalue())
+    header = ",".join(names)
+    clocks = [f"{k}:00," + ",".join("0" * 13) for k in range(20)]
+    (folder / "clock.csv").write_text("\n".join([header, *clocks, ""]))
+    (folder / "quote.csv").write_text("\n".join([header, '"' + "0," * 100_000, ""]))
+    (folder / "cut.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    (folder / "cut.lvm").write_text("LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n")
+    messages = {
+        "rates.npz": "bring two rates to the same times",
+        "pickled.npz": "holds Python objects, which are not read",
+        "pickle.npy": "holds Python objects, which are not read",
+        "huge.npz": "reading huge.npz needs about",
+        "twice.npz": "has t more than once",
+        "clock.csv": "leave time out of map.toml",
+        "quote.csv": "",
+        "cut.mcap": "mcap recover cut.mcap",
+        "cut.lvm": "",
+    }
+    cases = []
+    for name, message in messages.items():
+        cases.append(Case(f"import {name}", ("import", name, "--map", "map.toml", "--out", "o.csv"), 1, message))
+        cases.append(Case(f"guess {name}", ("import", name, "--map", f"guess {name}.toml", "--guess"), -1))
+    latin = ("import", "rates.npz", "--map", "latin.toml", "--out", "o.csv")
+    return [*cases, Case("a map in Latin-1", latin, 1, "line 1 is no UTF-8: save it as UTF-8")]
 
 
 # --- options ---
