@@ -11,7 +11,7 @@ from scan3d.cli.terminal import Output, printable_json, table
 from scan3d.workers import python
 
 # Packages that every scan needs, and what the others are used for.
-NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow", "cyclopts", "rich")
+NEEDED = ("numpy", "scipy", "trimesh", "manifold3d", "pyvista", "matplotlib", "pillow", "cyclopts", "rich")
 OPTIONAL = {
     "open3d": "the surfaces poisson and ball-pivoting, and to_open3d",
     "imageio-ffmpeg": "movies as .mp4",

@@ -20,7 +20,7 @@ from scan3d.geometry.hulls import runs_both_ways, turns, was_judged
 from scan3d.geometry.triangles import areas, distinct_rows, dot, without_unused
 
 # Directions about an edge are one within this part of a turn, as those of faces in a plane that are cut differently.
-_TURN = 1 << 30
+_TURN = 1e-9
 
 
 def shells(points: Array, faces: Index) -> Index:
@@ -65,8 +65,12 @@ def _around(points: Array, faces: Index, edges: Index, back: Mask) -> list[tuple
     aside = points[faces[face, (corner + 2) % 3]] - ends[0]
     aside -= (aside @ along)[:, None] * along
     x = unit_or_zero(aside[:1])[0]
-    turn = np.arctan2(aside @ np.cross(along, x), aside @ x) / (2 * np.pi)
-    place = np.round(turn * _TURN).astype(np.int64) % _TURN
+    turn = np.arctan2(aside @ np.cross(along, x), aside @ x) / (2 * np.pi) % 1
+    order = np.argsort(turn)
+    place = np.empty(len(edges), dtype=np.int64)
+    place[order] = np.cumsum(np.diff(turn[order], prepend=turn[order[0]]) > _TURN)
+    if turn.min() + 1 - turn.max() <= _TURN:
+        place[place == place.max()] = 0
     # seen along the edge, the body begins behind a face that runs back, and ends at one that runs forth
     order = np.lexsort((edges, back[edges], place))
     begun: list[tuple[int, list[int]]] = []
