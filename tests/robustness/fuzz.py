@@ -127,7 +127,7 @@ def thinned(text, chance):
     names = head.split(",")
     rows = [dict(zip(names, line.split(","), strict=True)) for line in lines]
     moments = [abs(float(row["mz_Nm"])) for row in rows]
-    touching = [moment > 0.05 * max(moments) for moment in moments]
+    touching = [moment > 0.01 * max(moments) for moment in moments]
     heights = [round(float(row["z_m"]), 3) for row in rows]
     kept = [True] * len(rows)
     for _ in range(chance.randint(1, 2)):
@@ -191,9 +191,8 @@ def attempt(chance, source, folder):
         name = chance.choice(("log", f"{rig_inputs.FOLDER}/specimen"))
         path = folder / f"{name}.csv"
         path.write_text(thinned(path.read_text(), chance))
-        options = chance.choice(
-            ([], [], ["--model=planar"], ["--model=spatial"], [f"--method={chance.choice(METHODS)}"])
-        )
+        models = ([], ["--model=planar"], ["--model=planar"], ["--model=spatial"])
+        options = [*chance.choice(models), *chance.choice(([], [f"--method={chance.choice(METHODS)}"]))]
         return ["reconstruct", f"{name}.csv", "--out", "o", *options, *chance.choice(([], ["--truth", "box.stl"]))]
     if kind in ("table", "rod", "columns"):
         if kind == "columns":
