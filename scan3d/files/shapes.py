@@ -790,7 +790,7 @@ class _Content:
     def size(self, primitive: Mapping[str, Any]) -> int:
         """How many vertices and corners of triangles a part has."""
         used = [primitive["attributes"]["POSITION"], *([primitive["indices"]] if "indices" in primitive else [])]
-        return sum(int(self._tree["accessors"][number]["count"]) for number in used)
+        return sum(len(self._values(self._tree["accessors"][number])) for number in used)  # as views of the file
 
     def triangles(self, primitive: Mapping[str, Any]) -> tuple[Array, Index]:
         """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles."""
