@@ -16,7 +16,7 @@ from scan3d.errors import InputError
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
-from scan3d.recording import joined
+from scan3d.recording import joined, of_rows
 
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
 RASTER = {"directions": 5, "heights": 6, "substeps": 2}
@@ -45,6 +45,17 @@ def egg():
 @pytest.fixture(scope="module")
 def right():
     return recorded_in_space(0.3, **RASTER)[0]
+
+
+def test_the_number_of_a_sweep_is_a_name(egg):
+    """Sweeps that are numbered by a plan and run in another order are those of the same recording."""
+    order = np.random.default_rng(15).permutation(np.unique(egg.sweep))
+    rows = np.concatenate([np.flatnonzero(egg.sweep == number) for number in order])
+    moved = of_rows(egg, rows)
+    assert (np.diff(moved.sweep) < 0).any()
+    assert remarks(moved) == []
+    bounds = [analyse(recording, method="hull").bounds.bound for recording in (egg, moved)]
+    assert bounds[1] == pytest.approx(bounds[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("fault", FAULTS)

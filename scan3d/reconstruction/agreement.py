@@ -387,8 +387,9 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
 
 def _off_line(recording: Recording) -> list[Contradiction]:
     """Whether every sweep moves along -x of the clamp's frame, which the poses alone decide."""
+    # the number of a sweep is a name: sweeps may come in any order
     _, first = np.unique(recording.sweep, return_index=True)
-    last = np.append(first[1:], len(recording)) - 1
+    last = len(recording) - 1 - np.unique(recording.sweep[::-1], return_index=True)[1]
     travel = recording.position_m[last] - recording.position_m[first]
     way = np.linalg.norm(travel, axis=1)
     off = 0.05  # of its travel, by which a robot's path may leave a line; digits turn a short one by more than a fault would
