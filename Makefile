@@ -50,6 +50,7 @@ trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd fi
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group strong --slices 13
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.faults --group rig --slices 8
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.unmeasured_rows
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --reference plane
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --mixing 0.01 --count 40

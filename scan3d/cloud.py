@@ -70,6 +70,17 @@ class LeftOut(NamedTuple):
         return self.share > 0 and not len(self.rows)
 
 
+class Unmeasured(NamedTuple):
+    """Rows of a recording that hold no measurement (`scan3d.reconstruction.measured`)."""
+
+    rows: Index
+    """(w,) their numbers, from 0."""
+    words: tuple[str, ...]
+    """What was not measured in them, in sentences."""
+    poses: bool
+    """Whether poses are held, so that those of the other rows are not certain either."""
+
+
 @dataclass(frozen=True, repr=False)
 class Cloud(Shown, Exported):
     """Contacts (n,) in the world, in the recording's unit, and the slices (s,) they lie in."""
@@ -126,6 +137,8 @@ class Cloud(Shown, Exported):
     """(n,) whether the contact is the second one of its rod, at the tip, whose first one is at a known corner."""
     left_out: LeftOut | None = None
     """Rows of the recording that contradict the rest, and were left out; None if there are none."""
+    unmeasured: Unmeasured | None = None
+    """Rows of the recording that were not measured, and were left out; None if there are none."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
     tilt: Tilt | None = None

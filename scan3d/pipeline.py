@@ -31,7 +31,7 @@ from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.parts import Scene, of_cloud
-from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
+from scan3d.reconstruction import NoContactError, as_measured, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, report, rounded
@@ -214,7 +214,7 @@ def analyse(
     found = reached = None
     with clock("surface"):
         if not cloud.convex:
-            found = carved(recording, cloud)
+            found = carved(*as_measured(recording, cloud))
             mesh = found.surface if method == "auto" else surface(cloud, method)
         else:
             # a hull is only taken as proven where the recording agrees with the model
@@ -227,7 +227,7 @@ def analyse(
             bounds = bounding_nothing(bounds)
             certified = certificate(bounds, mesh)
             if found is not None and reach:
-                reached = within_reach(recording, cloud, reach, mesh)
+                reached = within_reach(*as_measured(recording, cloud), reach, mesh)
                 certified = certified._replace(bound=np.inf if warnings else reached.bound)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)

@@ -159,6 +159,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
         "light": cloud.light,
         **({} if cloud.convex else _second(analysis)),
         "left_out": 0 if cloud.left_out is None else len(cloud.left_out.rows),
+        **({} if cloud.unmeasured is None else {"not_measured": len(cloud.unmeasured.rows)}),
     }
 
 
@@ -237,6 +238,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "left_out": left
         and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
+        **({} if cloud.unmeasured is None else {"not_measured": list(cloud.unmeasured.words)}),
         "table": cloud.table,
         **({} if analysis.carved is None else {"contours": {"bound": contours}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
@@ -427,6 +429,7 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         part = f"{left_out['rows']} rows that contradict their neighbours, {share(left_out['share'])} of those with a force"
         factor = number(left_out["noise_factor"])
         rows.append(("left out", f"{part}; the others count with {factor} times the stated noise"))
+    rows += [("not measured", words) for words in data["certificate"].get("not_measured", ())]
     radius = data.get("rod", {}).get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]

@@ -534,6 +534,7 @@ def _figures_of_sweep(found: Any) -> dict[str, Any]:
         "tip": int(touching.sum() - tangential.sum()),
         "tangential": int(tangential.sum()),
         "undetermined": int(found.undetermined.sum()),
+        "not_measured": list(found.unmeasured),
         "without_contact": {planar.Status(c).sentence: int(n) for c, n in zip(codes, counts, strict=True)},
         "s1": [float(s1.min()), float(s1.max())],
         "friction_assumed": sweep.known.friction if sweep.known else None,
@@ -567,7 +568,8 @@ def _rows_of_sweep(data: dict[str, Any]) -> list[tuple[str, str]]:
         median, largest = (size(data[f"place_sd_{name}"], 2) for name in ("median", "largest"))
         by_rounding = f"; by rounding alone: {ask}" if data["only_rounding"] else ""
         place = f"{median}, median of the standard deviations; largest {largest}{by_rounding}"
-    without = [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
+    without = [("not measured", words) for words in data["not_measured"]]
+    without += [("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()]
     if data["undetermined"]:
         without.append(("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open"))
     return [

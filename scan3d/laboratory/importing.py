@@ -7,7 +7,7 @@ frame and moved to the clamp; the log is cut into sweeps, and the noise is state
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d import units
+from scan3d import units, unmeasured
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
@@ -33,17 +33,24 @@ from scan3d.laboratory.logs import (
     travel_angles,
     without_transfers,
 )
-from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
-from scan3d.laboratory.signals import find_air, given_air, robust_sd, tare
+from scan3d.laboratory.maps import ORIENTATION_OF, WRENCH_IN, Map, read_frame, read_map
+from scan3d.laboratory.signals import Stretches, find_air, given_air, robust_sd, tare
 from scan3d.recording import CHANNELS, FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
 from scan3d.rigs import Frame, euler_of, wrench_matrix
 from scan3d.spatial import inverse
 from scan3d.units import share
+from scan3d.unmeasured import Jump, amid, jumps_of, steps_of
 
 KIND = "import"
 """What the source of an imported recording is."""
 # Part of the rows that another frame of the wrench must make those of a bent rod to be named.
 _NEARLY_ALL = 0.9
+# Part of the rows in contact that the sweeps of a right log hold, whose retracts begin in contact.
+_HALF = 0.55
+_ELSEWHERE = (
+    ": the others are not used; check the order, the convention and the direction of the orientation under [columns], the "
+    'clamp\'s frame under [clamp], and whether strokes back are sweeps as well, directions = "both" under [sweeps]'
+)
 
 
 @dataclass(frozen=True)
@@ -173,9 +180,11 @@ def convert(table: Table, map: Map) -> Imported:
     notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
     part = _held(imported)
     # retracts and strokes back hold contacts as well, but not most of them
-    if part < 0.7 and (words := _better_reading(table, map, _NEARLY_ALL)):
+    words = _better_reading(table, map, _NEARLY_ALL) if part < 0.7 else ""
+    if words or part < _HALF:
         doubt = f"only {share(part)} of the rows in contact lie in sweeps along -x of the clamp's frame"
-        notes = (f"{doubt}, and nearly all do if {words}: check [columns] orientation of {map.name}", *notes)
+        likely = f", and nearly all do if {words}: check [columns] orientation of {map.name}" if words else _ELSEWHERE
+        notes = (doubt + likely, *notes)
     return replace(imported, summary=replace(imported.summary, notes=notes))
 
 
@@ -183,6 +192,8 @@ def _converted(table: Table, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
     sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
+    measured = np.ones(len(log), dtype=bool) if sensed.measured is None else sensed.measured
+    sensed = sensed._replace(wrench=np.where(measured[:, None], sensed.wrench, 0.0))
     wrench, known = _clamp_wrench(sensed.wrench, log.present, map, table.name)
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     reach = float(np.ptp(position, axis=0).max()) / map.rod.length_m
@@ -194,15 +205,18 @@ def _converted(table: Table, map: Map) -> Imported:
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise)
     touched = _touching(sensed.wrench, noise, 0.05)  # a part that only contact has
-    check_directions(map, table.name, sweep, position, quaternion, touched)
-    notes = [*sensed.notes, *notes]
+    check_directions(map, table.name, np.where(measured, sweep, -1), position, quaternion, touched)
+    notes = [*log.notes, *sensed.notes, *notes]
     if backwards.any():
         # after half a turn about the rod a stroke along +x is one along -x
         quaternion, wrench, signs = quaternion.copy(), wrench.copy(), np.array([-1.0, 1.0, -1.0])
         half_turn = Frame(np.zeros(3), np.diag(signs))
         quaternion[backwards] = half_turn.carried(position[backwards], quaternion[backwards])[1]
         wrench[backwards] *= np.tile(signs, 2)
-    within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
+    within = np.flatnonzero((sweep >= 0) & ~sensed.blurred & measured)
+    if not len(within):
+        reason = "; ".join(log.notes) or "the filter blurs all of them"
+        raise InputError(f"{table.name} has no row of a sweep that can be used: {reason}")
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[signals.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
@@ -212,7 +226,12 @@ def _converted(table: Table, map: Map) -> Imported:
         kept = kept[single]
     if log.time_s is not None:
         recording = replace(recording, source={**recording.source, "speed_m_per_s": _speed(recording, clock[kept])})
+    if rung := int(sensed.ringing[kept].sum()):  # which are zeros, though the others have noise
+        recording = replace(recording, source={**recording.source, "ringing": rung})
     _check_sizes(recording, map, table.name)
+    sweeps = len(np.unique(recording.sweep))
+    parts = unmeasured.parts(sweep, measured)
+    recording = replace(recording, sweep=parts[kept])
     touching = felt(recording.force_N, noise[0])
     summary = Summary(
         table=table.name,
@@ -220,14 +239,15 @@ def _converted(table: Table, map: Map) -> Imported:
         seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
         rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
         samples=len(recording),
-        sweeps=len(np.unique(recording.sweep)),
-        sweeps_with_contact=len(np.unique(recording.sweep[touching])),
+        sweeps=sweeps,
+        sweeps_with_contact=len(np.unique(sweep[kept][touching])),
         six_axis=recording.six_axis,
         left_out={
             **table.left_out,
             "without numbers": len(table) - len(log),
             "between sweeps": int((sweep < 0).sum()),
-            "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()),
+            "not measured": int((~measured & (sweep >= 0)).sum()),
+            "blurred by the filter": int((sensed.blurred & measured & (sweep >= 0)).sum()),
             "thinned": len(within) - count,
             "left open by the channels": count - len(kept),
         },
@@ -276,41 +296,77 @@ class _Sensed(NamedTuple):
     """Noise that the filter leaves, over that before it."""
     rate: float | None = None
     """Rows per second, if there is a filter."""
+    measured: Mask | None = None
+    """(n,) rows whose wrench and pose were measured."""
     notes: tuple[str, ...] = ()
 
 
 def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
-    none, calm = np.zeros(len(log), dtype=bool), np.ones(len(log), dtype=bool)
+    none, calm = np.zeros(len(log), dtype=bool), ~log.unmeasured
+    jumps = jumps_of(log.wrench, calm)
+    calm = calm & ~amid(jumps, len(log))
+    if not calm.any():
+        raise InputError(f"{where} has no row that was measured: {'; '.join(log.notes)}")
     step = np.diff(clock)
-    run = np.append(0, np.cumsum(step > 1.5 * np.median(step)))
+    run = np.append(0, np.cumsum((step > 1.5 * np.median(step)) | (np.diff(calm) != 0)))
     if map.air == "none":
-        sensed = _Sensed(log.wrench, np.zeros((1, 6)), none, [], np.zeros(6), none, none)
+        zero = steps_of(jumps, len(log))
+        zero = zero - min(np.unique(zero, axis=0), key=lambda level: _away(log.wrench[calm] - level))
+        sensed = _Sensed(log.wrench - zero, zero, none, [], np.zeros(6), none, none)
     elif isinstance(map.air, str):
-        sensed = _levelled(log, clock, find_air(log.wrench, clock, calm, where))
+        sensed = _levelled(log, clock, jumps, lambda wrench: find_air(wrench, clock, calm, where, calm), calm)
     elif log.time_s is None:
         raise InputError(
             f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
         )
     else:
-        sensed = _levelled(log, clock, given_air(clock, map.air, where))
+        given = given_air(clock, map.air, where)
+        sensed = _levelled(log, clock, jumps, lambda _: given, calm)
     swings = signals.ringing(sensed.wrench, sensed.noise, run)
     if swings.any() and map.air == "auto":
         # where the rod rings is neither zero nor noise; a rod that rings all the time leaves what was found before
         with contextlib.suppress(InputError):
-            sensed = _levelled(log, clock, find_air(log.wrench, clock, ~swings, where))
+            quiet = calm & ~swings
+            sensed = _levelled(log, clock, jumps, lambda wrench: find_air(wrench, clock, quiet, where, calm), quiet)
             swings = signals.ringing(sensed.wrench, sensed.noise, run)
-    quiet = np.where(swings[:, None], 0.0, sensed.wrench)
-    return sensed._replace(wrench=quiet, air=sensed.air & ~swings, ringing=swings)
+    still = np.where(swings[:, None], 0.0, sensed.wrench)
+    notes = _of_jumps(jumps, log.time_s)
+    return sensed._replace(wrench=still, air=sensed.air & ~swings, ringing=swings, measured=calm, notes=notes)
 
 
-def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sensed:
-    air = tare(log.wrench, clock, stretches)
-    wrench = log.wrench - air.zero
+def _levelled(
+    log: Log, clock: Array, jumps: list[Jump], stretches: Callable[[Array], Stretches], calm: Mask
+) -> _Sensed:
+    """The log without its zero, by its stretches in the air, which a function finds in the wrench without jumps of the zero."""
+    steps = steps_of(jumps, len(log))
+    found = signals.separated(stretches(log.wrench - steps), calm, jumps)
+    steps = steps_of(signals.measured_jumps(log.wrench, jumps, found), len(log))
+    air = tare(log.wrench - steps, clock, found)
+    zero = air.zero + steps
+    wrench = log.wrench - zero
     # rows in which all channels are no more than rounding would count as forces
     largest = np.repeat([np.abs(log.wrench[:, :3]).max(), np.abs(log.wrench[:, 3:]).max()], 3)
     nothing = np.asarray((np.abs(wrench) <= 1e-13 * largest).all(axis=1))
     none = np.zeros(len(log), dtype=bool)
-    return _Sensed(np.where(nothing[:, None], 0.0, wrench), air.zero, air.rows, stretches, air.noise, none, none)
+    return _Sensed(np.where(nothing[:, None], 0.0, wrench), zero, air.rows & calm, found, air.noise, none, none)
+
+
+def _away(wrench: Array) -> float:
+    """How far wrenches (n, c) are from zero, in the ranges of force and moment: the smallest of most rows."""
+    size = np.abs(wrench).max(axis=0)
+    return float(np.median((np.abs(wrench) / np.where(size > 0, size, 1.0)).max(axis=1)))
+
+
+def _of_jumps(jumps: list[Jump], time: Array | None) -> tuple[str, ...]:
+    """A sentence on a zero that jumps."""
+    if not jumps:
+        return ()
+    at = [f"row {jump.row + 1}" if time is None else f"{time[jump.row]:.1f} s" for jump in jumps]
+    sizes = [max(np.abs(jump.size[part]).max() for jump in jumps) for part in (slice(0, 3), slice(3, 6))]
+    by = f"by up to {units.force(float(sizes[0]))} and {units.moment(float(sizes[1]))}"
+    return (
+        f"the sensor's zero jumps at {', '.join(at)}, {by}: the sensor was tared again; each part has its own zero",
+    )
 
 
 def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
@@ -323,11 +379,11 @@ def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> 
     blurred = signals.blurred(sensed.wrench, wrench, clock, map.lowpass_hz, rate, where)
     factor = signals.noise_factor(map.lowpass_hz, rate)
     left = factor * sensed.noise
-    notes: tuple[str, ...] = ()
+    notes = sensed.notes
     if sensed.air.any():
         found = np.where(sensed.noise > 0, robust_sd(wrench[sensed.air]), 0.0)
         if (found > 1.3 * left).any():
-            notes = ("the filter leaves more noise than it would of white noise; the noise found after it is stated",)
+            notes += ("the filter leaves more noise than it would of white noise; the noise found after it is stated",)
         left = np.maximum(left, found)
     return sensed._replace(wrench=wrench, noise=left, blurred=blurred, factor=factor, rate=rate, notes=notes)
 
@@ -523,13 +579,14 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
     """Other ways to read the orientation, with the words for them."""
     orientation = map.columns.orientation
 
-    def changed(**fields: Any) -> Map:
-        return replace(map, columns=replace(map.columns, orientation=replace(orientation, **fields)))
+    def changed(position_in: str = map.columns.position_in, **fields: Any) -> Map:
+        columns = replace(map.columns, position_in=position_in, orientation=replace(orientation, **fields))
+        return replace(map, columns=columns)
 
     if orientation.kind == "quaternion":
         other, place = ("xyzw", "last") if orientation.order == "wxyz" else ("wxyz", "first")
         yield f'qw is the {place} of the four columns, order = "{other}"', changed(order=other)
-    else:
+    elif orientation.kind != "matrix":
         unit, factor = ("rad", 1.0) if map.factors["angle"] != 1 else ("deg", np.pi / 180)
         turned = replace(map, factors={**map.factors, "angle": factor})
         yield f'the angles are in {unit}, angle = "{unit}" under [units]', turned
@@ -538,6 +595,14 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
         for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
             if other != convention:
                 yield f'the convention is "{other}"', changed(convention=other)
+    of = next(of for of in ORIENTATION_OF if of != orientation.of)
+    whose = "world in the clamp's frame" if of == "world" else "clamp in the world"
+    yield f'the orientation is that of the {whose}, of = "{of}" in its braces', changed(of=of)
+    if of == "world":
+        words = (
+            f'the pose is that of the {whose}, of = "{of}" in the braces of the orientation and position_in = "inverse"'
+        )
+        yield words, changed("inverse", of=of)
 
 
 def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[str]:

@@ -8,22 +8,25 @@ without contact is a sweep as well, because it shows that nothing is there.  Swe
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from scan3d import units
 from scan3d.arrays import LARGEST, MEDIAN_OF_NORMAL, NEGLIGIBLE, Array, Mask, ratio
 from scan3d.errors import InputError
 from scan3d.files.tables import Table
 from scan3d.files.text import did_you_mean
 from scan3d.laboratory import clocks
+from scan3d.laboratory.signals import roughly_air
 from scan3d.poses import MOVES, Move
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
+from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentences
 
 if TYPE_CHECKING:
     from scan3d.laboratory.maps import Map, Orientation, Reference
@@ -47,6 +50,10 @@ class Log:
     """(n,) number of the sweep, -1 between sweeps; None if neither sweeps nor moves were logged."""
     row: NDArray[np.int64]
     """(n,) row of the table."""
+    unmeasured: Mask
+    """(n,) rows whose wrench or pose was not measured."""
+    notes: tuple[str, ...]
+    """Which ones these are, and which poses were interpolated."""
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -57,19 +64,28 @@ def read_log(table: Table, map: Map) -> Log:
     columns = map.columns
     position = _vectors(table, map, columns.position, "length", "position")
     orientation = _orientation(table, map, columns.orientation)
-    wrench, present = _wrench(table, map)
+    wrench, present, shown = _wrench(table, map)
     time = None if columns.time is None else _time(table, map, columns.time)
+    pose = np.concatenate([position, orientation], axis=1)
+    unmeasured, notes = _unmeasured(shown, wrench, pose, time)
     if map.wrench_delay_s:
         wrench = _undelayed(wrench, time, map, table)
-    kept = (np.abs(np.concatenate([position, orientation, wrench], axis=1)) < LARGEST).all(axis=1)
+        # what is interpolated from a row that was not measured was not either
+        unmeasured = _undelayed(unmeasured[:, None].astype(np.float64), time, map, table)[:, 0] > 0
+    kept = (np.abs(np.concatenate([pose, wrench], axis=1)) < LARGEST).all(axis=1)
     kept &= True if time is None else np.isfinite(time)
     if not kept.any():
         raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")
     row = np.flatnonzero(kept)
     quaternion = _quaternions(table, map, orientation[row], row)
-    place, sweep = position[row], _sweeps(table, map)
-    if columns.position_in == "clamp":
+    place, sweep, unmeasured = position[row], _sweeps(table, map), unmeasured[row]
+    if (held := held_poses(place, quaternion, wrench[row], map.rod.length_m)) is not None:
+        place, quaternion = held.position, held.quaternion
+        unmeasured = unmeasured | np.isin(np.arange(len(row)), held.stale)
+        notes += _of_poses(held, None if time is None else time[row])
+    if columns.position_in != "world":
         place = Rotation.from_quat(quaternion, scalar_first=True).apply(place)
+        place = -place if columns.position_in == "inverse" else place
     wrench = -wrench[row] if map.reversed_sign else wrench[row]
     if map.wrench_in == "world":
         wrench = _in_sensor(wrench, present, quaternion, map, table)
@@ -81,6 +97,8 @@ def read_log(table: Table, map: Map) -> Log:
         present=present,
         sweep=None if sweep is None else sweep[row],
         row=row,
+        unmeasured=unmeasured,
+        notes=notes,
     )
     if log.time_s is not None and len(log) > 1:
         _check_order(log.time_s, log.row, table)
@@ -99,20 +117,67 @@ def read_log(table: Table, map: Map) -> Log:
     return log
 
 
-def _wrench(table: Table, map: Map) -> tuple[Array, Mask]:
-    """Forces and moments (n, 6), and which of them (6,) the sensor has."""
+class _Shown(NamedTuple):
+    """What the sensor shows: channels as they are logged, of which some are measured together."""
+
+    values: Array
+    """(n, k)"""
+    names: tuple[str, ...]
+    words: Callable[[int, float], str]
+    """A value of a channel with its unit."""
+
+
+def _wrench(table: Table, map: Map) -> tuple[Array, Mask, _Shown]:
+    """Forces and moments (n, 6), which of them (6,) the sensor has, and what it shows."""
     columns = map.columns
     if not columns.signals:
         both = ((columns.force, "force"), (columns.moment, "moment"))
         parts = [_vectors(table, map, references, entry, entry) for references, entry in both]
         known = [one[axis] != "" for one, _ in both for axis in range(3)]
-        return np.concatenate(parts, axis=1), np.array(known)
+        wrench, channels = np.concatenate(parts, axis=1), np.flatnonzero(known)
+        names = tuple(CHANNELS[k] for k in channels)
+
+        def words(k: int, value: float) -> str:
+            return units.force(value) if channels[k] < 3 else units.moment(value)
+
+        return wrench, np.array(known), _Shown(wrench[:, channels], names, words)
     signals = _vectors(table, map, columns.signals, "", "signals")
     present: Mask = np.isin(np.arange(6), (0, 1, 5)) | (len(map.matrix) == 6)
     wrench = np.zeros((len(table), 6))
     wrench[:, present] = (signals - map.offset) @ np.array(map.matrix).T
     wrench *= np.repeat([map.factors["force"], map.factors["moment"]], 3)
-    return wrench, present
+    titles = tuple(table.title(_find(table, map, name, "signals")[0]) for name in columns.signals)
+    return wrench, present, _Shown(signals, titles, lambda _, value: f"{value:.4g}")
+
+
+def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -> tuple[Mask, tuple[str, ...]]:
+    """The rows (n,) in which a channel repeats or is saturated, and sentences on them."""
+    known = np.flatnonzero(np.isfinite(np.concatenate([shown.values, pose], axis=1)).all(axis=1))
+    rows = np.zeros(len(pose), dtype=bool)
+    if not len(known):
+        return rows, ()
+    found = gaps(shown.values[known], roughly_air(wrench[known]), pose[known])
+    rows[known] = of_all(found, len(known))
+    at = (lambda k: f"row {known[k] + 1}") if time is None else (lambda k: f"{time[known[k]]:.1f} s")
+    return rows, sentences(found, len(known), shown.words, shown.names, at)
+
+
+def _of_poses(held: Held, time: Array | None) -> tuple[str, ...]:
+    """Sentences on poses that a logger repeats."""
+    found = []
+    if len(held.interpolated):
+        every = f"{held.every:.3g} rows"
+        if time is not None and (step := float(np.median(np.diff(time)))) > 0:
+            every += f" ({1 / (held.every * step):.3g} Hz)"
+        found.append(
+            f"the poses change every {every} only while the clamp moves, in which the wrench changes from row to row: they are "
+            f"interpolated between their changes, in {len(held.interpolated):,} rows"
+        )
+    if len(held.stale):
+        found.append(
+            f"the pose is held for longer than usual while the clamp moves, in {len(held.stale):,} rows, which are left out"
+        )
+    return tuple(found)
 
 
 def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table) -> Array:
@@ -200,6 +265,12 @@ def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
 
 def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) -> Array:
     """Unit quaternions (n, 4), w first, of the orientation's columns (n, k) in rows (n,) of the table."""
+    turns = _turns(table, map, values, row)
+    return turns * [1.0, -1.0, -1.0, -1.0] if map.columns.orientation.of == "world" else turns
+
+
+def _turns(table: Table, map: Map, values: Array, row: NDArray[np.int64]) -> Array:
+    """`_quaternions` as they are logged, of the clamp in the world or of the world in the clamp's frame."""
     orientation = map.columns.orientation
     if orientation.kind == "euler":
         return np.asarray(Rotation.from_euler(orientation.convention, values).as_quat(scalar_first=True))

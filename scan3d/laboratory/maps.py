@@ -36,6 +36,8 @@ SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
 WRENCH_IN = ("sensor", "world")
 MISSING = ("refuse", "drop")
+POSITION_IN = ("world", "clamp", "inverse")
+ORIENTATION_OF = ("clamp", "world")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class Orientation:
     """Of Euler angles, as in `scipy.spatial.transform.Rotation`."""
     order: str = "wxyz"
     """Of a quaternion's columns: wxyz or xyzw."""
+    of: str = "clamp"
+    """Whose orientation it is: that of the clamp in the world, or its inverse, that of the world in the clamp's frame."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,8 @@ class Columns:
     sweep: Reference | None = None
     move: Reference | None = None
     position_in: str = "world"
-    """Frame of the position's components: world or clamp, for a body on a turntable."""
+    """Frame of the position's components: world or clamp, for a body on a turntable; inverse: the world's origin in the clamp's
+    frame, of which inverse poses have the position."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +245,7 @@ def _columns(section: Section) -> Columns:
             for key in ("time", "sweep", "move")
             if (value := section.any(key)) is not None
         },
-        position_in=section.word("position_in", ("world", "clamp")),
+        position_in=section.word("position_in", POSITION_IN),
     )
 
 
@@ -299,11 +304,11 @@ def _orientation(section: Section) -> Orientation:
     if len(kinds) != 1:
         what = f"one of {', '.join(ORIENTATIONS)}, such as {{quaternion = ['qw', 'qx', 'qy', 'qz']}}"
         raise section.error("orientation", f"needs {what}{did_you_mean(inner.data, ORIENTATIONS)}")
-    kind = kinds[0]
+    kind, of = kinds[0], inner.word("of", ORIENTATION_OF)
     if kind == "quaternion":
-        return Orientation(kind, _references(inner, kind, (4,)), order=inner.word("order", ("wxyz", "xyzw")))
+        return Orientation(kind, _references(inner, kind, (4,)), order=inner.word("order", ("wxyz", "xyzw")), of=of)
     if kind in ("rotvec", "matrix"):
-        return Orientation(kind, _references(inner, kind, (3 if kind == "rotvec" else 9,)))
+        return Orientation(kind, _references(inner, kind, (3 if kind == "rotvec" else 9,)), of=of)
     convention = inner.text("convention", "xyz")
     try:
         Rotation.from_euler(convention, np.zeros((1, len(convention))))
@@ -313,7 +318,7 @@ def _orientation(section: Section) -> Orientation:
             "must be one to three axes, as in scipy's Rotation: lower case for fixed axes, such as xyz, upper case for "
             f"turning axes, such as ZYX; got {convention!r}",
         ) from None
-    return Orientation(kind, _references(inner, kind, (len(convention),)), convention)
+    return Orientation(kind, _references(inner, kind, (len(convention),)), convention, of=of)
 
 
 def _factors(section: Section, usual: Mapping[str, str]) -> dict[str, float]:

@@ -24,6 +24,8 @@ from scan3d.files.text import read_rod, read_section, rows_as_text
 from scan3d.reconstruction.errors import contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
 from scan3d.rods import Rod
+from scan3d.units import number
+from scan3d.unmeasured import gaps, of_all, sentences
 
 COLUMNS = ("x0", "f0x", "f0y", "m0z")
 """Base position and support reactions in rod lengths, EI/L² and EI/L."""
@@ -101,6 +103,8 @@ class SweepContacts:
     """Standard deviations of each force component in EI/L² and of the moment in EI/L, with those of their rounding."""
     undetermined: Mask
     """(n,) rows that touch, where two reactions and what is known in the place of the third leave several contacts open."""
+    unmeasured: tuple[str, ...] = ()
+    """Which rows were left out because something was not measured, in sentences."""
 
     @property
     def point_sd(self) -> Array:
@@ -276,7 +280,8 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         found = planar.reconstruct(x0, f0x, f0y, m0z, tolerance=contact_tolerance(errors), **common)
     given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
     undetermined = felt & given & ~np.isfinite(f0x + f0y + m0z)
-    hidden = (found.status == planar.Status.OK) & ~felt
+    left, words = _unmeasured(sweep, felt)
+    hidden = (found.status == planar.Status.OK) & (~felt | left)
     found = found.refused(hidden, planar.Status.NO_FORCE)
     touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
     if not touching.any():
@@ -292,7 +297,21 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     of_slope = ("friction_angle", "slope")
     known = ((values, tangential if name in of_slope else touching) for name, values in errors._asdict().items())
     errors = planar.Errors(*(_kept(values, rows) for values, rows in known))
-    return SweepContacts(sweep, found, errors, (force, moment), undetermined)
+    return SweepContacts(sweep, found, errors, (force, moment), undetermined, words)
+
+
+def _unmeasured(sweep: OneSweep, felt: Mask) -> tuple[Mask, tuple[str, ...]]:
+    """The rows (n,) of a sweep in which something was not measured, and sentences on them; none where no noise is stated."""
+    rows = np.zeros(len(sweep), dtype=bool)
+    columns = dict(zip(REACTIONS, (sweep.f0x, sweep.f0y, sweep.m0z), strict=True))
+    values = np.stack([column for column in columns.values() if column is not None], axis=1)
+    known = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(sweep.x0))
+    if not max(sweep.noise_force, sweep.noise_moment) or not len(known):
+        return rows, ()
+    names = tuple(name for name, column in columns.items() if column is not None)
+    found = gaps(values[known], ~felt[known], sweep.x0[known, None])
+    rows[known] = of_all(found, len(known))
+    return rows, sentences(found, len(known), lambda _, value: number(value), names, lambda k: f"row {known[k] + 1}")
 
 
 def _kept(values: Array, rows: Mask) -> Array:

@@ -16,6 +16,7 @@ forces across the rod.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from scan3d.arrays import MEDIAN_OF_NORMAL, NEGLIGIBLE, SOME, Array, Mask, evenly
 from scan3d.errors import InputError
+from scan3d.unmeasured import Jump, noise_of, reach_of
 
 # Rows of a stretch at least.
 _FEWEST = 5
@@ -128,13 +130,18 @@ def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: s
     return found
 
 
-def find_air(wrench: Array, clock: Array, calm: Mask, where: str) -> Stretches:
+def find_air(wrench: Array, clock: Array, calm: Mask, where: str, measured: Mask | None = None) -> Stretches:
     """The stretches of a wrench (n, c), forces first, in the air: where it keeps the value that it has most often.
 
-    Only rows that are `calm` (n,) are taken.  Raises InputError if there is no such stretch.
+    Only rows that are `calm` (n,) are taken, and those that were not `measured` (n,) say nothing of the value.  Raises
+    InputError if there is no such stretch.
     """
-    scale = _scales(wrench)
-    near: Mask = np.asarray((np.abs(wrench - _followed(wrench, clock, scale)) <= scale).all(axis=1))
+    known = slice(None) if measured is None or measured.all() else measured
+    scale = _scales(wrench[known])
+    zero = _followed(wrench[known], clock[known], scale)
+    if len(zero) < len(wrench):
+        zero = np.stack([np.interp(clock, clock[known], column) for column in zero.T], axis=1)
+    near: Mask = np.asarray((np.abs(wrench - zero) <= scale).all(axis=1))
     runs = _runs(near & calm)
     stretches = _consistent(wrench, clock, _refined(wrench, clock, runs, scale))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches, calm)) if stretches else []
@@ -150,15 +157,53 @@ def find_air(wrench: Array, clock: Array, calm: Mask, where: str) -> Stretches:
     return stretches
 
 
+def separated(stretches: Stretches, calm: Mask, found: list[Jump]) -> Stretches:
+    """The parts of stretches whose rows are all `calm` (n,), and between which the zero jumps."""
+    cuts = {jump.stop for jump in found}
+    parts: Stretches = []
+    for start, stop in stretches:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], calm[start:stop], [False]]).astype(np.int8))) + start
+        for a, b in edges.reshape(-1, 2).tolist():
+            inner = [a, *sorted(cut for cut in cuts if a < cut < b), b]
+            parts += [(one, other) for one, other in pairwise(inner) if other - one >= min(_FEWEST, b - a)]
+    return parts or stretches
+
+
+def measured_jumps(wrench: Array, found: list[Jump], stretches: Stretches) -> list[Jump]:
+    """The jumps with sizes by the nearest stretches in the air before and after, which have less noise than two rows."""
+    better: list[Jump] = []
+    for jump in found:
+        before = [
+            np.median(wrench[a:b], axis=0) for a, b in stretches if b <= jump.row and not _any_in(found, b, jump.row)
+        ]
+        after = [
+            np.median(wrench[a:b], axis=0) for a, b in stretches if a >= jump.stop and not _any_in(found, jump.stop, a)
+        ]
+        known = bool(before and after)
+        better.append(jump._replace(size=after[0] - before[-1]) if known else jump)
+    return better
+
+
+def _any_in(found: list[Jump], start: int, stop: int) -> bool:
+    """Whether the zero jumps between rows."""
+    return any(start <= jump.row < stop and jump.stop < stop for jump in found)
+
+
+def roughly_air(wrench: Array) -> Mask:
+    """The rows (n,) of a wrench (n, c) that are near its zero, which is followed through the log.
+
+    Rows that repeat the one before count once in finding it.
+    """
+    fresh = np.append(True, (np.diff(wrench, axis=0) != 0).any(axis=1))
+    known = wrench[fresh]
+    scale = _scales(known)
+    near = (np.abs(known - _followed(known, np.flatnonzero(fresh).astype(np.float64), scale)) <= scale).all(axis=1)
+    return np.asarray(near[np.cumsum(fresh) - 1])
+
+
 def _scales(wrench: Array) -> Array:
     """(c,) deviations within which a channel counts as near its zero: 2 % of the range, or the noise."""
-    steps = np.abs(np.diff(wrench, axis=0)) if len(wrench) > 1 else np.zeros((1, wrench.shape[1]))
-    # the quartile of |x| is 0.3186 standard deviations, and those of differences are √2 times as large
-    noise = np.percentile(steps[:: max(1, len(steps) // SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
-    reach = np.ptp(wrench, axis=0)
-    half = wrench.shape[1] // 2
-    largest = np.repeat([reach[:half].max(), reach[half:].max()], half)
-    return np.asarray(np.maximum(0.02 * largest, _SIGMAS * noise))
+    return np.asarray(np.maximum(0.02 * reach_of(wrench), _SIGMAS * noise_of(wrench)))
 
 
 def _followed(wrench: Array, clock: Array, scale: Array) -> Array:

@@ -11,6 +11,7 @@ from scan3d.reconstruction.agreement import (
 from scan3d.reconstruction.contacts import radius_errors
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.errors import NoContactError
+from scan3d.reconstruction.measured import as_measured
 
 __all__ = [
     "LARGEST_SHARE",
@@ -18,6 +19,7 @@ __all__ = [
     "Contradiction",
     "Diagnosis",
     "NoContactError",
+    "as_measured",
     "cause_of_no_contact",
     "checked",
     "diagnose",

@@ -42,7 +42,7 @@ from scipy.special import chdtri, ndtri
 
 import planar
 from scan3d.arrays import AT_ONCE, Array, Index, Mask, evenly, ratio
-from scan3d.cloud import Cloud, LeftOut, Tilt
+from scan3d.cloud import Cloud, LeftOut, Tilt, Unmeasured
 from scan3d.reconstruction.contacts import (
     contacts,
     model_of,
@@ -71,6 +71,7 @@ from scan3d.reconstruction.errors import (
     with_rig_errors,
 )
 from scan3d.reconstruction.hollow import without_second_contacts
+from scan3d.reconstruction.measured import as_measured, as_recorded, measured, unmeasured
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import FORCE, LARGEST_OVER_SD, Recording, rounding_sd
 from scan3d.rigs import with_relative
@@ -100,6 +101,7 @@ _CAUSES = {
     "sweep-direction": ("poses", "deg", "the poses are wrong: {}"),
     "out-of-plane": ("planar-model", "", "the model is wrong: choose the spatial model"),
     BELOW_TABLE: ("table", "", "the table is wrong: {}"),
+    "held-poses": ("held-poses", "rows", "the poses are held: {}"),
     "followed": ("unknown", "", "a channel that is missing: {}"),
 }
 
@@ -115,20 +117,27 @@ class Checked(NamedTuple):
 
 def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
+    missing = cloud.unmeasured
+    recording, cloud = as_measured(recording, cloud)
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
         number = np.full(kept[-1] + 1, -1)
         number[kept] = np.arange(len(kept))
         cloud = renumbered(cloud, number)
-    alone, diagnosis = _below_table(cloud) + _followed(recording), None
+    alone, diagnosis = _held(missing) + _below_table(cloud) + _followed(recording), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
         touched = cloud.fattened or cloud  # by the rod's centre line
-        alone = _off_line(recording) + _out_of_plane(recording, touched) + alone
+        alone = _off_line(recording) + alone
         pressed = int(felt(recording.pressing(six_axis=False), recording.noise.of_reactions(recording.rod)).sum())
         found = _without_contact(1 - (len(cloud) + cloud.light + cloud.second) / pressed if pressed else 0.0)
         found += shape_contradictions(recording, touched) if cloud.convex else []
+        if out_of_plane := _out_of_plane(recording, touched):
+            # the wrong model is the cause only if the other one is right
+            alone += out_of_plane if _agrees_in_space(recording) else []
+            found += [] if alone else out_of_plane
+    found += _off_zero(recording)
     if alone:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
@@ -154,6 +163,8 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
 
 def cause_of_no_contact(recording: Recording) -> str:
     """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
+    if (missing := unmeasured(recording)) is not None:
+        return f"; {'; '.join(missing.words)}"
     diagnosis = diagnose(recording, "spatial" if recording.six_axis else "planar")
     return "" if diagnosis.fault in ("unknown", "second-contact") else f"; {diagnosis.message}"
 
@@ -161,6 +172,13 @@ def cause_of_no_contact(recording: Recording) -> str:
 def kappa(count: int) -> float:
     """Standard deviations that no place of so many contacts is off by, but for `FALSE_ALARM`."""
     return float(np.sqrt(chdtri(3, FALSE_ALARM / max(count, 1))))
+
+
+def _held(missing: Unmeasured | None) -> list[Contradiction]:
+    """That poses are held, so that no contact is where it seems."""
+    if missing is None or not missing.poses:
+        return []
+    return [Contradiction("held-poses", missing.words[-1], float(len(missing.rows)))]
 
 
 def _without_contact(fraction: float) -> list[Contradiction]:
@@ -437,6 +455,48 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     return [Contradiction("out-of-plane", text, fraction)]
 
 
+def _agrees_in_space(recording: Recording) -> bool:
+    """Whether nothing contradicts the spatial model in a recording of six axes."""
+    try:
+        return not _in_space(recording, with_rig_errors(spatial_contacts(recording), recording))
+    except NoContactError:
+        return False
+
+
+def _off_zero(recording: Recording) -> list[Contradiction]:
+    """Whether the sensor shows zero at the beginnings and ends of the sweeps, where the rod is in the air.
+
+    The median of many rows is off by a standard deviation of one row, by a drift that a tare leaves, but hardly by more.
+    """
+    noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
+    if not min(recording.noise_force_N, recording.noise_moment_Nm):
+        return []
+    force, about = (part[order] for part in recording.reactions(recording.six_axis))
+    scaled = np.hstack([force / noise[0], about / noise[1]])
+    if recording.down() is not None:
+        return []  # a rod with a weight shows it in the air
+    pressed = felt(recording.pressing(recording.six_axis)[order], noise)
+    edges = np.flatnonzero(np.diff(recording.sweep[order], prepend=-1, append=-1))
+    largest, off, count = 0.0, 0, 0
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        touched = np.flatnonzero(pressed[start:stop])
+        before, after = (int(touched[0]), stop - start - 1 - int(touched[-1])) if len(touched) else (stop - start, 0)
+        for part in (scaled[start : start + before // 2], scaled[stop - after // 2 : stop]):
+            if len(part) < 10:
+                continue
+            count += 1
+            size = float(np.abs(np.median(part, axis=0)).max())
+            if size > 1 + 5 / np.sqrt(len(part)):
+                largest, off = max(largest, size), off + 1
+    if not off:
+        return []
+    text = (
+        f"in the air, where a sweep begins or ends, force and moment are off zero by up to {number(largest, 2)} standard "
+        f"deviations of their noise in the median of many rows, in {off} of {count} such stretches"
+    )
+    return [Contradiction("off-zero", text, largest)]
+
+
 LARGEST = 0.01
 """Largest relative error that is allowed for.  A recording with a larger one contradicts the model."""
 # A relative error so small that its effect is linear.
@@ -463,7 +523,16 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     Raises InputError if the recording has no contact, or not the axes that the model needs, for the spatial model of a body
     that is stated not to be convex, and ValueError for an unknown method.
     """
-    if model_of(recording, method, model) == "spatial":
+    model = model_of(recording, method, model)
+    if (missing := unmeasured(recording)) is None:
+        return _reconstructed(recording, method, model)
+    part, rows = measured(recording, missing)
+    return as_recorded(recording, missing, rows, _reconstructed(part, method, model))
+
+
+def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
+    """`reconstruct` of a recording all of whose rows were measured."""
+    if model == "spatial":
         found = with_rig_errors(spatial_contacts(recording), recording)
         return replace(found, pose_error=found.pose_error + 2 * _deeper(found))
     touched = contacts(recording, method)

@@ -15,9 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -244,7 +246,44 @@ def _zeros(recording: Recording, spatial: bool, wrench: Array, hanging: Array | 
         text = f"a weight of {force(size)} hangs at the sensor and turns with the clamp: let each sweep begin in the air, and "
         drifts = _named("weight", size, "N", text + "let the import take it off ([tare])")
     each = start[sweep.reshape(-1)]
-    return [known(Undone(zero=zero), untared), *(known(Undone(zero=zero), drifts, 2) for zero in (steady, each))]
+    jumps = _jumping(recording, wrench, first, spatial)
+    return [
+        known(Undone(zero=zero), untared),
+        *jumps,
+        *(known(Undone(zero=zero), drifts, 2) for zero in (steady, each)),
+    ]
+
+
+def _jumping(recording: Recording, wrench: Array, first: Index, spatial: bool) -> list[Cause]:
+    """A zero that jumps in some row, as where the sensor is tared again; none if it does not, by the starts of the sweeps."""
+    begins = np.sort(first)
+    if len(begins) < 4:
+        return []
+    noise = np.repeat(recording.noise.of_reactions(recording.rod), 3)
+    noise = np.maximum(noise, 1e-4 * np.repeat([np.abs(part).max() for part in np.hsplit(wrench, 2)], 3))
+    start = np.array([np.median(wrench[k : k + 5], axis=0) for k in begins])
+    # single sweeps that begin in contact do not count
+    level = median_filter(start, (3, 1), mode="nearest")
+    apart = (np.abs(np.diff(level, axis=0)) / np.where(noise > 0, noise, 1.0)).max(axis=1)
+    after = np.flatnonzero(apart > _SURELY)
+    if not 0 < len(after) <= max(1, len(begins) // 4):
+        return []
+    rows = []
+    for k in after:
+        inside = wrench[begins[k] : begins[k + 1] + 2]
+        step = np.abs(np.diff(inside, axis=0) - (level[k + 1] - level[k])).max(axis=1)
+        rows.append(int(begins[k] + 1 + step.argmin()))
+    edges = [0, *(after + 1).tolist(), len(begins)]
+    levels = np.array([np.median(start[a:b], axis=0) for a, b in pairwise(edges)])
+    zero = levels[np.searchsorted(rows, np.arange(len(wrench)), side="right")]
+    largest = levels[1:] - levels[:-1]
+    value, unit, text = _of_zero(largest[np.abs(largest).max(axis=1).argmax()], recording.rod, spatial)
+    at = ", ".join(str(row + 1) for row in rows)
+    text = (
+        f"the zero of force and moment jumps in row {at}, by up to {text}: the sensor was tared again; import the table, which "
+        "takes off the zero of each part, or cut the log there"
+    )
+    return [known(Undone(zero=zero), _named("zero-jumps", value, unit, text))]
 
 
 def _of_zero(wrench: Array, rod: Rod, spatial: bool) -> tuple[float, str, str]:

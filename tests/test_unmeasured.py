@@ -1,0 +1,235 @@
+"""Rows that hold no measurement: repeated, saturated and re-tared channels and held poses, against the logs without the fault.
+
+What was done to a log is known, and so is the body; right logs, and those of coarse converters, must not be doubted.
+"""
+
+import numpy as np
+import pytest
+from robustness.unmeasured_rows import FAULTS, NAMES, ROD, Rows, imported, kept, logged, outcome
+from scipy.spatial.transform import Rotation
+
+from scan3d.errors import InputError
+from scan3d.files.tables import Table
+from scan3d.laboratory.importing import convert
+from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.one_sweep import OneSweep, reconstruct_sweep
+from scan3d.pipeline import analyse
+from scan3d.unmeasured import gaps, held_poses, jumps_of, of_all, parts, steps_of
+from tests.raw_tables import si_map
+from tests.robustness.bounds import false_statements
+
+SEED = 1
+
+
+@pytest.fixture(scope="module")
+def log():
+    return logged(SEED)
+
+
+def rows_of(log):
+    return Rows(np.hstack([log.position_m, log.quaternion]), log.wrench)
+
+
+# --- values alone ---
+
+
+def values(noise, step, count=4000, seed=0):
+    """Six channels in the air, with two touches, in steps of a converter."""
+    draw = np.random.default_rng(seed)
+    shape = np.clip(np.sin(np.linspace(0, 4 * np.pi, count)), 0, None) ** 2
+    signal = 100 * shape[:, None] * [1.0, 0.5, 0.2, 3.0, 1.0, 2.0] + noise * draw.standard_normal((count, 6))
+    return step * np.round((signal + draw.uniform(-3, 3, 6)) / step), shape == 0
+
+
+def moving(count):
+    return np.arange(count)[:, None] * np.ones(7)
+
+
+@pytest.mark.parametrize("step", [1e-9, 0.05, 0.2, 1.0, 3.0, 10.0])
+def test_no_converter_is_taken_for_a_sensor_that_stopped(step):
+    """Rounding to steps, from far below to far above the noise, is all that makes values repeat."""
+    for seed in range(4):
+        shown, air = values(0.3, step, seed=seed)
+        assert gaps(shown, air, moving(len(shown))) == []
+
+
+@pytest.mark.parametrize("step", [1e-9, 0.05, 0.2])
+@pytest.mark.parametrize("to_the_end", [True, False])
+@pytest.mark.parametrize("channels", [range(6), [5]])
+@pytest.mark.parametrize("start", [1200, 2450])
+def test_channels_that_repeat_are_seen_to_the_row(step, to_the_end, channels, start):
+    shown, air = values(0.3, step)
+    stop = len(shown) if to_the_end else start + 900
+    rows = (np.arange(len(shown)) > start) & (np.arange(len(shown)) < stop)
+    shown[rows[:, None] & np.isin(np.arange(6), channels)] = np.tile(shown[start, list(channels)], rows.sum())
+    if len(channels) > 1:
+        air = air | rows
+    found = of_all(gaps(shown, air, moving(len(shown))), len(shown))
+    # the row after the last may have the same value by chance
+    assert (found != rows).sum() <= 1
+    at_rest = gaps(shown, air, np.zeros((len(shown), 7)))
+    assert at_rest == []
+
+
+def test_a_log_without_noise_has_nothing_that_repeats():
+    shown, air = values(0.0, 1e-12)
+    assert gaps(shown, air, moving(len(shown))) == []
+
+
+def test_a_sensor_that_is_slower_than_the_logger_is_not_frozen():
+    shown, air = values(0.3, 1e-9, count=800)
+    assert gaps(np.repeat(shown, 5, axis=0), np.repeat(air, 5), moving(4000)) == []
+
+
+def test_a_saturated_channel_is_seen_and_a_peak_is_not():
+    for step in (1e-9, 0.1):
+        shown, air = values(0.1, step)
+        assert gaps(shown, air, moving(len(shown))) == []
+        limit = step * np.round(0.8 * shown[:, 0].max() / step)
+        at = shown[:, 0] >= limit
+        shown[:, 0] = np.minimum(shown[:, 0], limit)
+        (found,) = gaps(shown, air, moving(len(shown)))
+        assert (found.channel, found.saturated, found.value) == (0, True, limit)
+        np.testing.assert_array_equal(found.rows, np.flatnonzero(at))
+
+
+def test_jumps_of_the_zero_are_found_to_the_row():
+    for seed in range(8):
+        draw = np.random.default_rng(seed)
+        shown = np.tile(values(0.3, 1e-9, seed=seed)[0], (2, 1))
+        at = np.sort(draw.choice(np.arange(600, 7400), 2, replace=False))
+        sizes = draw.choice([-1, 1], (2, 6)) * draw.uniform(6, 30, (2, 6))
+        assert jumps_of(shown, np.ones(len(shown), dtype=bool)) == []
+        moved = shown + sum(
+            np.where(np.arange(len(shown)) >= row, 1, 0)[:, None] * size for row, size in zip(at, sizes, strict=True)
+        )
+        found = jumps_of(moved, np.ones(len(shown), dtype=bool))
+        assert [jump.stop for jump in found] == at.tolist()
+        assert np.abs(moved - steps_of(found, len(moved)) - shown).max() < 2  # of blocks that are not all air
+
+
+def test_poses_that_a_logger_holds_are_interpolated_and_stops_are_not():
+    count, every = 3000, 10
+    shown = values(0.3, 1e-9, count)[0]
+    position = np.stack([-1e-4 * np.arange(count), np.zeros(count), np.zeros(count)], axis=1)
+    quaternion = np.tile([1.0, 0, 0, 0], (count, 1))
+    assert held_poses(position, quaternion, shown, 0.06) is None
+    step = np.arange(count) // every * every
+    found = held_poses(position[step], quaternion, shown, 0.06)
+    assert found.every == every
+    assert np.abs(found.position - position)[: count - every].max() < 1e-12
+    # a clamp that stops for each reading has the same wrench, but for noise, in each of them
+    stopped = shown[step] + 0.3 * np.random.default_rng(1).standard_normal(shown.shape)
+    assert held_poses(position[step], quaternion, stopped, 0.06) is None
+    # a logger that stops twice
+    lost = np.zeros(count, dtype=bool)
+    lost[501:700] = lost[1801:2200] = True
+    found = held_poses(kept(position, lost), quaternion, shown, 0.06)
+    np.testing.assert_array_equal(found.stale, np.flatnonzero(lost))
+
+
+def test_sweeps_are_cut_where_rows_were_not_measured():
+    sweep = np.array([7, 7, 7, 7, 7, 7, -1, -1, -1, 3, 3, 3, 3])
+    measured = np.array([0, 1, 0, 0, 1, 1, 1, 0, 1, 1, 1, 0, 1], dtype=bool)
+    assert parts(sweep, measured)[measured].tolist()[:2] != [7, 7]
+    found = parts(sweep, measured)
+    assert found[[1, 6, 8, 9, 10]].tolist() == [7, -1, -1, 3, 3]
+    assert found[4] == found[5] not in (7, 3, found[12])
+    assert found[12] not in (7, 3)
+
+
+# --- logs and recordings ---
+
+QUICK = [("none", True), ("none", False), ("stopped", True), ("zeros", True), ("saturated", True), ("jumps", True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "of_log"),
+    [
+        pytest.param(name, of_log, marks=[] if (name, of_log) in QUICK[:3] else pytest.mark.slow)
+        for name in FAULTS
+        for of_log in (True, False)
+    ],
+)
+def test_a_fault_at_random_is_named_and_nothing_certified_is_false(name, of_log, undiagnosed):
+    found = outcome(SEED, name, of_log)
+    assert found.false == []
+    if name == "none":
+        assert (found.said, found.certified) == ("", True)
+    elif name != "jumps" or of_log:  # whose cause the diagnosis names
+        assert found.named, found.said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("zero", [True, False])
+def test_sweeps_of_a_sensor_that_stopped_are_not_empty(log, named, zero):
+    """The highest slice that was touched, after the sensor stopped in it: the body does not end below."""
+    mesh, logged_ = log
+    rows = rows_of(logged_)
+    right, _ = imported(logged_, rows)
+    cloud = analyse(right, None, "hull", "planar").cloud
+    top = np.unique(cloud.sweep[cloud.slice == cloud.slice[cloud.points[:, 2].argmax()]])
+    lost = np.isin(logged_.sweep, top)
+    wrench = np.where(lost[:, None], 0.0, rows.wrench) if zero else kept(rows.wrench, lost)
+    recording, notes = imported(logged_, rows._replace(wrench=wrench), named)
+    assert any("the sensor stopped" in note for note in notes)
+    analysis = analyse(recording, mesh, "hull", "planar")
+    assert analysis.warnings == ()
+    assert false_statements(mesh, analysis) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["quaternion", "matrix", "euler", "rotvec", "pose"])
+def test_inverse_orientations_are_named_and_read(log, kind):
+    _, logged_ = log
+    turn = Rotation.from_quat(logged_.quaternion, scalar_first=True)
+    place, back = logged_.position_m, turn.inv()
+    if kind == "pose":
+        place = -back.apply(place)
+    turns = {
+        "matrix": back.as_matrix().reshape(-1, 9),
+        "euler": back.as_euler("xyz", degrees=True),
+        "rotvec": back.as_rotvec(degrees=True),
+    }
+    values = turns.get(kind, back.as_quat(scalar_first=True))
+    names = [f"o{k}" for k in range(values.shape[1])]
+    columns = np.hstack([logged_.time_s[:, None], place, values, logged_.wrench])
+    table = Table("log.csv", ("t", "x", "y", "z", *names, *NAMES[8:]), tuple(columns.T))
+
+    def a_map(**more):
+        sections = si_map(ROD, tare={"air": "auto"})
+        orientation = {"quaternion" if kind == "pose" else kind: names, **more}
+        sections["columns"] = sections["columns"] | {"time": "t", "orientation": orientation}
+        del sections["columns"]["sweep"]
+        sections["units"]["time"] = "s"
+        if kind == "pose" and more:
+            sections["columns"]["position_in"] = "inverse"
+        return read_map(sections)
+
+    try:
+        said = " ".join(convert(table, a_map()).summary.notes)
+    except InputError as error:
+        said = str(error)
+    assert "of the world in the clamp's frame" in said
+    found = convert(table, a_map(of="world"))
+    assert not any("of the rows in contact" in note for note in found.summary.notes)
+    rows = found.log.row[found.kept]
+    np.testing.assert_allclose(found.recording.position_m, logged_.position_m[rows], atol=1e-12)
+
+
+def test_a_table_of_one_sweep_leaves_repeated_rows_out():
+    draw, count = np.random.default_rng(3), 400
+    x0 = np.linspace(0.6, 0.0, count)
+    shape = np.clip(np.linspace(-1, 1, count), 0, None)
+    reactions = [column + 1e-4 * draw.standard_normal(count) for column in (-1.5 * shape, 0.2 * shape, 1.1 * shape)]
+    noise = dict(noise_force=1e-4, noise_moment=1e-4)
+    right = reconstruct_sweep(OneSweep(x0, *reactions, **noise))
+    assert right.unmeasured == ()
+    for column in reactions:
+        column[321:] = column[320]
+    found = reconstruct_sweep(OneSweep(x0, *reactions, **noise))
+    (words,) = found.unmeasured
+    assert "the sensor stopped" in words
+    assert not found.touching[321:].any()
+    np.testing.assert_array_equal(found.touching[:321], right.touching[:321])
