@@ -54,6 +54,7 @@ trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd fi
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --reference plane
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --mixing 0.01 --count 40
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --trial --count 10
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.rig_bounds
 
 mutants: .venv/dev ## mutation tests: change the code in small ways, print the changes that no test notices

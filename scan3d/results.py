@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -133,8 +133,11 @@ def calibrate(
     sphere: float | None = None,
     tare: Tare = "auto",
     pose_noise_m: float | None = None,
+    accuracy: float | Sequence[float] | None = None,
 ) -> Calibration:
-    return calibrate_rig(_recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m)
+    return calibrate_rig(
+        _recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m, accuracy=accuracy
+    )
 
 
 _Thing: TypeAlias = "Cloud | Shape | trimesh.Trimesh"

@@ -16,7 +16,8 @@ for poses and wrenches as a recording has them, in the clamp's frame and after a
   curvature and its weight;
 - the clamp's offset, and its turn about its own origin;
 - the sensor's offset d, which adds ``d × F`` to the moment;
-- the sensor's turn w about the clamp's origin, which adds ``w × F`` to the force and ``w × m`` to the moment.
+- the sensor's turn w about the clamp's origin, which adds ``w × F`` to the force and ``w × m`` to the moment;
+- the gains of the sensor's channels, each of which adds a multiple of the channel to itself, in the sensor's own frame.
 
 Beside them stands the relative error of the wrench ε: what a rod that is not quite the stated one, gains and cross-talk add to
 a wrench w of n reactions in EI/L² and EI/L.  It is ``E w`` with a matrix E whose n² entries are independent and have the
@@ -29,7 +30,7 @@ Source of the factor that holds for all contacts at once: H. Scheffé, *The Anal
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -157,6 +158,31 @@ def displaced(force: Array, moment: Array, turn: Array, shift: Array) -> tuple[A
     return force + np.cross(turn, force), moment + np.cross(turn, moment) + np.cross(shift, force)
 
 
+GAINS = tuple(f"gain_{channel}" for channel in ("fx", "fy", "fz", "mx", "my", "mz"))
+"""What is added to the channels of a sensor, as multiples of what they show less the zero."""
+DEFAULT_ACCURACY = 0.005
+"""Standard deviation of the gains of a sensor that states none: data sheets of force-torque sensors have 0.5 to 2 % of the
+range as the largest error."""
+
+
+def accuracy_of(stated: Any) -> Array:
+    """(6,) standard deviations of the gains of a sensor, from one number for all channels or one for each.
+
+    Raises InputError for what is neither.
+    """
+    try:
+        values = np.asarray(stated, dtype=float)
+        # a sensor that is wrong by a third measures nothing
+        if values.shape in ((), (6,)) and ((values >= 0) & (values <= 0.3)).all():
+            return np.array(np.broadcast_to(values, 6))
+    except (ValueError, TypeError):
+        pass
+    raise InputError(
+        "the sensor's accuracy must be a number from 0 to 0.3, such as 0.005 for gains that are known to 0.5 %, or one "
+        f"each for fx, fy, fz, mx, my and mz; got {stated!r}"
+    )
+
+
 RIG_QUANTITIES = (
     "stiffness_relative",
     "length_relative",
@@ -168,7 +194,7 @@ RIG_QUANTITIES = (
     *(f"curvature_{axis}_per_m" for axis in "zx"),
     "weight_N",
 )
-"""The quantities of a rig that change contacts, all in the clamp's frame."""
+"""The quantities of a rig that change contacts, all in the clamp's frame; the gains of its sensor do so as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +210,10 @@ class RigUncertainty:
     """(k, k) in the squares and products of their units: m, rad, and 1 for the relative ones."""
     exact: tuple[str, ...] = ()
     """Quantities of the calibration that its touches did not determine; their nominal values are taken as exact."""
+    gains: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    """(6, 6 + k) covariance of the gains of the sensor's channels with each other and the quantities; 0 for exact ones."""
+    sensor: tuple[float, ...] = (0.0,) * 6
+    """Place in m and Euler angles in degrees of the sensor's frame in the clamp's, to which the gains belong."""
     relative: float = 0.0
     """Relative error ε of the wrench.  It is estimated from a recording itself, and not part of its files."""
 
@@ -197,14 +227,20 @@ class RigUncertainty:
         if wrong or len(set(self.names)) < len(self.names):
             what = f"unknown quantities {', '.join(wrong)}" if wrong else "a quantity more than once"
             raise InputError(f"rig: {what}; known are {', '.join(RIG_QUANTITIES)}")
-        matrix = _matrix(self.covariance, len(self.names))
+        sensor = _matrix("the sensor's frame", [self.sensor], (1, 6))
+        object.__setattr__(self, "sensor", tuple(map(float, sensor[0])))
+        own = _matrix("the covariance", self.covariance, (len(self.names),) * 2)
+        gains = self.gains if np.any(self.gains) else np.zeros((6, 6 + len(own)))
+        gains = _matrix("the covariance of the gains", gains, (6, 6 + len(own)))
+        matrix = _joint(own, gains)
         deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         scale = np.where(deviations > 0, deviations, 1.0)
         correlations = matrix / scale / scale[:, None]
         asymmetry = float(np.abs(correlations - correlations.T).max(initial=0.0))
         if asymmetry > NEGLIGIBLE or (len(matrix) and np.linalg.eigvalsh(correlations)[0] < -NEGLIGIBLE):
             raise InputError("rig: the covariance must be symmetric and without negative eigenvalues")
-        object.__setattr__(self, "covariance", matrix)
+        object.__setattr__(self, "covariance", own)
+        object.__setattr__(self, "gains", gains)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, RigUncertainty) and self._plain() == other._plain()
@@ -213,30 +249,49 @@ class RigUncertainty:
         return hash(self._plain())
 
     def _plain(self) -> tuple[Any, ...]:
-        return self.names, self.exact, self.covariance.tobytes(), self.relative
+        return self.names, self.exact, self.covariance.tobytes(), self.gains.tobytes(), self.sensor, self.relative
+
+    def by_gains(self, length_m: float) -> Array:
+        """(6, 6, 6) what is added to wrenches in the clamp's frame, over a length, by a gain of 1 of each channel."""
+        own = wrench_matrix(turn_of(self.sensor[3:]), np.array(self.sensor[:3]) / length_m)
+        return np.einsum("ik,kj->kij", own, np.linalg.inv(own))
 
     def components(self) -> Array:
         """(18, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
-        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return self._components()[: len(RIG_QUANTITIES)]
+
+    def gain_components(self) -> Array:
+        """(6, p) the gains in the same errors."""
+        return self._components()[len(RIG_QUANTITIES) :]
+
+    def _components(self) -> Array:
+        # exact gains are left out, so that they change no digit
+        covariance = _joint(self.covariance, self.gains) if self.gains.any() else self.covariance
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         scale = np.where(deviations > 0, deviations, 1.0)
-        square, axes = np.linalg.eigh(self.covariance / scale / scale[:, None])
-        found = np.zeros((len(RIG_QUANTITIES), len(square)))
-        rows = [RIG_QUANTITIES.index(name) for name in self.names]
+        square, axes = np.linalg.eigh(covariance / scale / scale[:, None])
+        found = np.zeros((len(RIG_QUANTITIES + GAINS), len(square)))
+        rows = [(RIG_QUANTITIES + GAINS).index(name) for name in (*self.names, *GAINS)[: len(square)]]
         found[rows] = scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
         return found[:, square > NEGLIGIBLE]
 
 
-def _matrix(values: Any, size: int) -> Array:
+def _joint(covariance: Array, gains: Array) -> Array:
+    """(k + 6, k + 6) of quantities and gains."""
+    return np.block([[covariance, gains[:, 6:].T], [gains[:, 6:], gains[:, :6]]])
+
+
+def _matrix(what: str, values: Any, shape: tuple[int, int]) -> Array:
     try:
         matrix = np.array(values, dtype=float)
     except (ValueError, TypeError):
-        raise InputError(f"rig: the covariance must be a matrix of numbers, got {values!r}") from None
-    if not size and not matrix.size:
-        return np.zeros((0, 0))
-    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise InputError(f"rig: {what} must be a matrix of numbers, got {values!r}") from None
+    if not matrix.size and not shape[0]:
+        return np.zeros(shape)
+    if matrix.shape != shape or not np.isfinite(matrix).all():
         raise InputError(
-            f"rig: the covariance must be {size} by {size} finite numbers, a row and a column for each quantity, got "
-            f"the shape {matrix.shape}"
+            f"rig: {what} must be {shape[0]} by {shape[1]} finite numbers, of a covariance a row and a column for each "
+            f"quantity, got the shape {matrix.shape}"
         )
     return matrix
 

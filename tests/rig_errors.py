@@ -21,10 +21,20 @@ def six_axis(recording):
     return replace(recording, **dict.fromkeys(SIX, zero))
 
 
-def displaced(recording, error):
-    """The recording as a rig with an error (17,) of `RIG_QUANTITIES` gives it; finite, by rotations."""
+def displaced(recording, error, gains=(0.0,) * 6, sensor=(0.0,) * 6):
+    """The recording as a rig with an error (18,) of `RIG_QUANTITIES` gives it; finite, by rotations.
+
+    Gains (6,) belong to a sensor with a place in m and Euler angles in degrees.
+    """
     full = six_axis(recording)
+    axes = Rotation.from_euler("xyz", sensor[3:], degrees=True)
     force, moment = full.wrench()
+    arm = np.cross(sensor[:3], force)
+    force, moment = (
+        axes.apply((1 + np.array(own)) * axes.inv().apply(part))
+        for part, own in ((force, gains[:3]), (moment - arm, gains[3:]))
+    )
+    moment = moment + np.cross(sensor[:3], force)
     turn = Rotation.from_rotvec(error[11:14])
     force, moment = turn.apply(force), turn.apply(moment) + np.cross(error[8:11], turn.apply(force))
     if not recording.six_axis:
@@ -46,13 +56,18 @@ def logged(recording, truth):
     """What a rig of `tests.rigs.Truth` logs, with poses and reactions of its own frames, where the clamp does as recorded."""
     full, ratio = six_axis(recording), truth.stiffness / recording.rod.bending_stiffness_Nm2
     force, moment = full.wrench()
+    shown = in_sensor(truth, ratio * force, ratio * moment)
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True)
     pose = Rotation.from_quat(recording.quaternion, scalar_first=True) * clamp.inv()
     return replace(
-        with_wrench(full, *in_sensor(truth, ratio * force, ratio * moment)),
+        with_wrench(full, *(np.hstack(shown) / (1 + np.array(truth.gains)))[:, [[0, 1, 2], [3, 4, 5]]].swapaxes(0, 1)),
         position_m=recording.position_m - pose.apply(truth.clamp),
         quaternion=pose.as_quat(scalar_first=True),
     )
+
+
+SENSOR = (0.004, -0.019, 0.005, 12.0, 25.0, -10.0)
+"""Place in m and Euler angles in degrees of a sensor whose gains are uncertain."""
 
 
 def typical(scale=1.0, six=True):

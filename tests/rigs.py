@@ -74,6 +74,8 @@ class Truth:
     jitter: float = 20e-6
     mixing: float = 0.0
     """Standard deviation of the sensor's gains and cross-talk, in fractions of the largest force and moment."""
+    gains: tuple = (0.0,) * 6
+    """By how much of itself each channel shows too little."""
 
 
 EXACT = Truth(noise=0.0, jitter=0.0)
@@ -139,7 +141,7 @@ def in_world(recording, turn, shift=(0.0, 0.0, 0.0)):
 
 
 def in_sensor(truth, force, moment):
-    """Reactions (n, 3) at the clamp as the sensor shows them in its frame, whose axes are columns in the clamp's frame."""
+    """Reactions (n, 3) at the clamp in the sensor's frame, whose axes are columns in the clamp's frame."""
     turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True).as_matrix()
     return force @ turn, (moment - np.cross(truth.sensor, force)) @ turn
 
@@ -157,6 +159,7 @@ def logged(truth, sweep, position, axes, force, moment, rng, *, rod=ROD, stated=
     shown = in_sensor(truth, force, moment)
     size, wrench = largest(*shown), np.hstack(shown)
     wrench = wrench @ (np.eye(6) + truth.mixing * mixed * size[:, None] / size).T
+    wrench = wrench / (1 + np.array(truth.gains))
     time = np.linspace(-0.5, 0.5, len(wrench))[:, None]
     noise = rng.normal(size=wrench.shape)
     if pink:

@@ -12,8 +12,8 @@ from scan3d.bounds import allowed, certificate, enclosure, sigmas
 from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.errors import effects, torsion_sd, with_rig_errors
-from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
-from tests.rig_errors import displaced, typical
+from scan3d.rigs import GAINS, RIG_QUANTITIES, RigUncertainty
+from tests.rig_errors import SENSOR, displaced, typical
 from tests.rigs import in_world
 from tests.robustness.bounds import false_bounds
 from tests.sample_bodies import MESHES
@@ -45,6 +45,11 @@ def with_rig(recording, rig, seed=None):
     return dataclasses.replace(displaced(recording, components @ (drawn + np.zeros(components.shape[1]))), rig=rig)
 
 
+def one_off(recording, rig, k):
+    """The recording as a rig with one of the independent errors gives it."""
+    return displaced(recording, rig.components()[:, k], rig.gain_components()[:, k], rig.sensor)
+
+
 def touched(recording, model="planar"):
     """Contacts, in slices without the smooth body that is fitted to them, which the bounds do not use."""
     if model == "spatial" or recording.six_axis:
@@ -58,7 +63,7 @@ def without(cloud):
 
 QUICK = {
     "planar": ("stiffness_relative", "clamp_turn_z_rad", "sensor_z_m"),
-    "spatial": ("sensor_y_m", "sensor_turn_y_rad"),
+    "spatial": ("sensor_y_m", "sensor_turn_y_rad", "gain_mx"),
 }
 
 
@@ -68,18 +73,21 @@ QUICK = {
     [
         (model, name) if name in QUICK[model] else pytest.param(model, name, marks=pytest.mark.trust)
         for model in ("planar", "spatial")
-        for name in RIG_QUANTITIES
+        for name in RIG_QUANTITIES + GAINS
         if name != "length_relative"
     ],
 )
 def test_contacts_move_as_predicted(request, model, name):
     """One quantity at a time, by one standard deviation: contacts of the rig that is off, less those of the rig as it is."""
     recording = request.getfixturevalue("flat" if model == "planar" else "space")
-    rig = RigUncertainty((name,), [[typical().covariance[RIG_QUANTITIES.index(name)][RIG_QUANTITIES.index(name)]]])
+    of_gain = name in GAINS
+    if of_gain:
+        rig = RigUncertainty((), [], gains=np.diag(5e-3**2 * (np.array(GAINS) == name)), sensor=SENSOR)
+    else:
+        rig = RigUncertainty((name,), [[typical().covariance[RIG_QUANTITIES.index(name)][RIG_QUANTITIES.index(name)]]])
     stated = dataclasses.replace(recording, rig=rig)
     before = touched(recording, model=model)
-    error = rig.components()[:, 0]
-    moved = touched(displaced(recording, error), model=model)
+    moved = touched(one_off(recording, rig, 0), model=model)
     _, one, other = np.intersect1d(before.row, moved.row, return_indices=True)
     assert len(one) > 0.9 * len(before)  # contacts of the tip may lie past it by the other rig
     predicted = before.rod_length * effects(stated, before.row[one], model).place[:, :, 0]
@@ -103,7 +111,7 @@ def test_the_length_moves_contacts_to_the_tip_only(flat):
     exact = touched(flat)
     assert (cloud.phase == planar.Phase.TIP).sum() > (exact.phase == planar.Phase.TIP).sum()
     # a rod that is stated too long makes tip contacts tangential, unless the uncertainty of the length is known
-    longer = displaced(flat, 2e-3 * np.eye(14)[1])
+    longer = displaced(flat, 2e-3 * np.eye(18)[1])
     tips = exact.row[exact.phase == planar.Phase.TIP]
     for uncertain, right in ((None, False), (rig, True)):
         found = touched(dataclasses.replace(longer, rig=uncertain))
@@ -180,10 +188,10 @@ def test_errors_of_the_calibration_are_no_contradiction(flat, space, undiagnosed
     assert not checked(found, cloud).contradictions
 
 
-def test_torsion_is_that_of_finite_changes(space):
-    rig = typical()
+@pytest.mark.parametrize("rig", [typical(), RigUncertainty((), [], gains=1e-4 * np.eye(6), sensor=SENSOR)])
+def test_torsion_is_that_of_finite_changes(space, rig):
     stated = dataclasses.replace(space, rig=rig)
     rows = np.flatnonzero(np.linalg.norm(space.wrench()[0], axis=1) > 0)
-    moved = [displaced(space, component).wrench()[1][rows, 1] for component in rig.components().T]
+    moved = [one_off(space, rig, k).wrench()[1][rows, 1] for k in range(rig.components().shape[1])]
     changes = (np.array(moved) - space.wrench()[1][rows, 1]) / space.rod.moment_unit_Nm
     np.testing.assert_allclose(torsion_sd(stated, rows), np.linalg.norm(changes, axis=0), rtol=0.02, atol=1e-6)

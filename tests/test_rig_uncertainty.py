@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scan3d import InputError, read_recording, write_recording
 from scan3d.calibration.report import OF_CONTACTS, read_rig, write_rig
 from scan3d.recording import joined
-from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
+from scan3d.rigs import GAINS, RIG_QUANTITIES, RigUncertainty
 from tests import rigs
 from tests.rig_errors import calibrated, typical
 from tests.test_recording import random_recording
@@ -24,6 +24,7 @@ TWO = ("stiffness_relative", "clamp_x_m")
         (dict(names="clamp_x_m", covariance=[[1.0]]), r"rig: names must be names of quantities, got 'clamp_x_m'"),
         (dict(names=("clamp_u_m",), covariance=[[1.0]]), r"rig: unknown quantities clamp_u_m; known are stiffness_rel"),
         (dict(names=TWO, covariance=np.eye(3)), r"rig: the covariance must be 2 by 2 finite numbers.*\(3, 3\)"),
+        (dict(names=(), covariance=[], sensor=(1.0, 2.0)), r"rig: the sensor's frame must be 1 by 6 finite numbers"),
         (dict(names=TWO, covariance=[[1.0, 0.5], [0.2, 1.0]]), r"rig: the covariance must be symmetric"),
         (dict(names=TWO, covariance=[[1.0, 2.0], [2.0, 1.0]]), r"without negative eigenvalues"),
     ],
@@ -87,16 +88,21 @@ def test_the_covariance_is_that_of_finite_changes_of_the_calibration(tmp_path):
         for name in OF_CONTACTS
         if name in rig.names and np.isfinite(rig.standard_deviations[rig.names.index(name)])
     ]
-    known = [name for name in known if name != "length_m"]  # which moves neither poses nor wrenches
+    known = [name for name in known if name != "length_m"] + [*GAINS]  # the length moves neither poses nor wrenches
     errors = np.column_stack(
         [_error(before, _moved(rig, name, 1e-4).applied(recording, "calibration")) for name in known]
     )
-    rows = [rig.names.index(name) for name in known]
+    rows = [(rig.names + GAINS).index(name) for name in known]
     steps = 1e-4 * np.array([_unit(rig, name) for name in known])
-    covariance = rig.covariance[np.ix_(rows, rows)] / steps / steps[:, None]
+    gains = rig.gains_covariance
+    covariance = np.block([[rig.covariance, gains[:, 6:].T], [gains[:, 6:], gains[:, :6]]])
+    covariance = covariance[np.ix_(rows, rows)] / steps / steps[:, None]
     found = errors @ covariance @ errors.T
     kept = [k for k, name in enumerate(stated.names) if name != "length_relative"]
-    chosen, expected = [RIG_QUANTITIES.index(stated.names[k]) for k in kept], stated.covariance[np.ix_(kept, kept)]
+    names, count = (*stated.names, *GAINS), len(stated.names)
+    kept += range(count, count + 6)
+    joint = np.block([[stated.covariance, stated.gains[:, 6:].T], [stated.gains[:, 6:], stated.gains[:, :6]]])
+    chosen, expected = [(RIG_QUANTITIES + GAINS).index(names[k]) for k in kept], joint[np.ix_(kept, kept)]
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
         found[np.ix_(chosen, chosen)] / size / size[:, None], expected / size / size[:, None], atol=2e-3
@@ -117,6 +123,8 @@ def _moved(rig, name, step):
         return dataclasses.replace(
             rig, rod=dataclasses.replace(rig.rod, bending_stiffness_Nm2=rig.rod.bending_stiffness_Nm2 * (1 + step))
         )
+    if name in GAINS:
+        return dataclasses.replace(rig, gains=rig.gains + step * (np.array(GAINS) == name))
     field, factor = {
         "clamp": ("clamp_position_m", 1e-3),
         "clamp_turn": ("clamp_euler_deg", 1.0),
@@ -129,7 +137,7 @@ def _moved(rig, name, step):
 
 
 def _error(before, after):
-    """The error (18,) of `RIG_QUANTITIES` between two corrections of a recording, by least squares over its rows."""
+    """The error (24,) of `RIG_QUANTITIES` and gains between two corrections of a recording, by least squares over its rows."""
     (f, m), (g, k) = before.wrench(), after.wrench()
     axes = before.axes()
     offset = np.einsum("nij,nj->ni", axes, after.position_m - before.position_m).mean(axis=0)
@@ -141,14 +149,33 @@ def _error(before, after):
 
     scale = np.abs(m).max() / np.abs(f).max()
     zero = np.zeros((3 * len(f), 3))
-    matrix = np.vstack([np.hstack([zero, scale * crossed(f)]), np.hstack([crossed(f), crossed(m)])])
+    gains = np.einsum("kij,nj->nik", before.rig.by_gains(1.0), np.hstack([f, m]))
+    by_gains = [part.reshape(-1, 6) for part in (scale * gains[:, :3], gains[:, 3:])]
+    matrix = np.vstack(
+        [np.hstack([zero, scale * crossed(f), by_gains[0]]), np.hstack([crossed(f), crossed(m), by_gains[1]])]
+    )
     right = np.concatenate([scale * (g - f).ravel(), (k - m).ravel()])
     wrench = np.linalg.lstsq(matrix, right, rcond=None)[0]
     stiffness = after.rod.bending_stiffness_Nm2 / before.rod.bending_stiffness_Nm2 - 1
-    return np.concatenate([[stiffness, 0.0], offset, turn, wrench, np.zeros(3)])
+    return np.concatenate([[stiffness, 0.0], offset, turn, wrench[:6], np.zeros(4), wrench[6:]])
 
 
 def test_a_rig_by_hand_is_taken_as_exact(tmp_path):
     (tmp_path / "rig.toml").write_text("[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 1.9e-4\n")
     found = read_rig(tmp_path / "rig.toml").uncertainty()
     assert found == RigUncertainty((), [], OF_CONTACTS)
+
+
+def test_a_rig_by_hand_states_the_accuracy_of_its_sensor(tmp_path):
+    """Gains that are known to 0.2 %, of a sensor that is turned and moved in the clamp."""
+    rod, frame = "length_m = 0.06\nbending_stiffness_Nm2 = 1.9e-4", "position_mm = [0, -20, 5]\neuler_deg = [0, 30, 0]"
+    text = f"[rod]\n{rod}\n[sensor]\n{frame}\n"
+    (tmp_path / "rig.toml").write_text(text + "accuracy = 0.002\n")
+    found = read_rig(tmp_path / "rig.toml").uncertainty()
+    assert found.names == ()
+    np.testing.assert_allclose(found.gains, 4e-6 * np.eye(6), rtol=1e-12)
+    np.testing.assert_allclose(found.sensor, [0, -0.02, 0.005, 0, 30, 0], atol=1e-12)
+    assert found.exact == OF_CONTACTS
+    (tmp_path / "rig.toml").write_text(text + 'accuracy = "good"\n')
+    with pytest.raises(InputError, match=r"accuracy must be a number from 0 to 0\.3"):
+        read_rig(tmp_path / "rig.toml")

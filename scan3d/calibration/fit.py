@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -37,6 +37,7 @@ from scipy.special import chdtri, ndtr
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, evenly
 from scan3d.calibration.model import (
     CLAMP,
+    GAINS,
     LENGTH,
     MIXING,
     PLACE,
@@ -58,7 +59,8 @@ from scan3d.calibration.model import (
 from scan3d.calibration.references import CHANCE, Plane, Reference, Sphere, Unloaded, neighbours, six_channels, unloaded
 from scan3d.choices import TARES
 from scan3d.errors import InputError
-from scan3d.recording import Recording
+from scan3d.recording import CHANNELS, Recording
+from scan3d.rigs import Frame, wrench_matrix
 from scan3d.units import length, share
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
@@ -74,9 +76,19 @@ _WIDTHS_AND_RANKS = {
     PLACE: (1.0, 0.0),
     LENGTH: (0.1, 1.0),
     SHAPE: (1.0, 0.95),
+    GAINS: (1.0, 0.0),
     MIXING: (1.0, 0.0),
     TARE: (1.0, 0.0),
 }
+
+
+class Sensor(NamedTuple):
+    """What is known of a sensor beforehand."""
+
+    accuracy: Array
+    """(6,) standard deviations of the gains of its channels."""
+    frame: Frame
+    """Of its own channels, in that of the recorded ones."""
 
 
 class Noise(NamedTuple):
@@ -89,6 +101,8 @@ class Noise(NamedTuple):
     """Of force and moment over their sizes, independent from row to row."""
     mixing: float = 0.0
     """Of gains and cross-talk that are the same in all rows, for channels as large as in the mean of the touches."""
+    gains: float = 1.0
+    """Standard deviations of the gains of the sensor's channels, over the stated ones; 0: gains are among the mixing."""
     contradiction: float = 0.0
     """Of force and moment to a single force, relative to them, where it is no chance and gains and cross-talk are nought."""
 
@@ -109,6 +123,8 @@ class Problem:
     """(6,) which components of force and moment were measured."""
     free: Mask
     """(p,) which parameters are sought."""
+    accuracy: Array
+    """(6,) stated standard deviations of the gains of the sensor's channels."""
 
     def rows(self, selected: Mask | Index) -> Problem:
         return replace(self, touches=self.touches.rows(selected))
@@ -134,6 +150,11 @@ class Problem:
         """(36,) gains and cross-talk of 1 between channels as large as the root mean squares of force and moment."""
         channel = np.repeat(np.sqrt(self.squares.mean(axis=0)), 3)
         return np.asarray(channel[:, None] / channel).ravel()
+
+    def beforehand(self, noise: Noise) -> Array:
+        """(42,) standard deviations with which gains, and further gains and cross-talk, are known to be nought beforehand."""
+        gains = np.diag(self.accuracy).ravel()
+        return np.concatenate([noise.gains * self.accuracy, np.hypot(noise.mixing * self.mixing_units, gains)])
 
 
 class Rows(NamedTuple):
@@ -165,30 +186,40 @@ class Fit:
     """(m, p) derivatives of all white residuals, those of the rows first; zero for parameters that are not sought."""
     cost: float
     """Sum of squares of the white residuals."""
-    at_rest: bool
-    """Whether this is a least sum of squares."""
+    left: float
+    """Of the step to a least sum of squares, by how many standard deviations it moves a quantity at most."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether this is a least sum of squares; at a kink of it, where a row comes in or goes out, part of a step is left."""
+        return self.left < 1
 
     @property
     def normal(self) -> Array:
         """(p, p) normal matrix."""
         return np.asarray(self.jacobian.T @ self.jacobian)
 
+    @cached_property
+    def inverse(self) -> Array:
+        """(p, m) pseudo-inverse of the derivatives; its product with its transpose is the covariance of the parameters."""
+        return np.asarray(np.linalg.pinv(self.jacobian), dtype=float)
+
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the rows: the parameters that they determine count with them, the tare with the air."""
-        determined = int(self.problem.free[:MIXING].sum()) + round(self.mixing[1])
+        determined = int(self.problem.free[:GAINS].sum()) + round(self.evidence(GAINS, TARE)[1])
         return max(int(self.rows.used.sum()) - determined, 1)
 
-    @property
-    def mixing(self) -> tuple[float, float]:
-        """The sum of squares of gains and cross-talk, and how many of them the rows determine rather than their own width."""
-        free = np.flatnonzero(self.problem.free[MIXING:TARE])
+    def evidence(self, first: int, end: int) -> tuple[float, float]:
+        """Of parameters that are known beforehand, the sum of squares over their variances then, and how many of them the rows
+        determine rather than what is known beforehand."""
+        free = first + np.flatnonzero(self.problem.free[first:end])
         if not len(free):
             return 0.0, 0.0
-        unit = self.problem.mixing_units[free]
-        known = np.linalg.pinv(self.jacobian)[MIXING + free]
-        unknown = float(((known**2).sum(axis=1) / unit**2).sum()) / self.noise.mixing**2
-        return float(((self.rig.mixing.ravel()[free] / unit) ** 2).sum()), len(free) - unknown
+        known = self.problem.beforehand(self.noise)[free - GAINS]
+        values = np.concatenate([self.rig.gains, self.rig.mixing.ravel()])[free - GAINS]
+        left = float((((self.inverse[free] ** 2).sum(axis=1)) / known**2).sum())
+        return float(((values / known) ** 2).sum()), len(free) - left
 
 
 def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Rows:
@@ -236,9 +267,9 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = 50) -> Fit:
     free = np.flatnonzero(problem.free)
     widths = problem.widths_and_ranks[0, free]
     weight = problem.channels / np.repeat([noise.force, noise.moment], 3)
-    mixed = np.flatnonzero(problem.free[MIXING:TARE])
-    likely = np.zeros((len(mixed), len(problem.free)))
-    likely[range(len(mixed)), MIXING + mixed] = 1 / (noise.mixing * problem.mixing_units[mixed]) if len(mixed) else 0.0
+    known = np.flatnonzero(problem.free[GAINS:TARE])
+    likely = np.zeros((len(known), len(problem.free)))
+    likely[range(len(known)), GAINS + known] = 1 / problem.beforehand(noise)[known]
     # the product of this root with deviations of the tare is as long as the deviations of the rows in the air
     root = np.linalg.qr(problem.air.basis[problem.air.air])[1]
     in_air = np.zeros((rig.tare.size, len(problem.free)))
@@ -252,8 +283,8 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = 50) -> Fit:
         moved = rig.moved(step)
         rows = adjusted(problem, moved, noise)
         tare = in_air[:, TARE:] @ (moved.tare - problem.air.tare).ravel()
-        mixing = likely[:, MIXING:TARE] @ moved.mixing.ravel()
-        residual = np.concatenate([rows.white.ravel(), tare, mixing, x / widths])
+        gains = likely[:, GAINS:TARE] @ np.concatenate([moved.gains, moved.mixing.ravel()])
+        residual = np.concatenate([rows.white.ravel(), tare, gains, x / widths])
         by_rig = np.vstack([rows.white_by_rig.reshape(-1, len(step)), in_air, likely])[:, free]
         return moved, rows, residual, np.vstack([by_rig, np.diag(1 / widths)])
 
@@ -267,9 +298,8 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = 50) -> Fit:
     moved, rows, residual, slopes = at(found.x.tobytes())
     jacobian = np.vstack([rows.white_by_rig.reshape(-1, len(problem.free)), in_air, likely])
     jacobian[:, ~problem.free] = 0
-    # the step left, in standard deviations: not 0 at a kink of the sum of squares, where a row comes in or goes out
-    at_rest = bool(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual) < 0.5)
-    return Fit(problem, moved, noise, rows, jacobian, 2 * float(found.cost), at_rest)
+    left = float(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual))
+    return Fit(problem, moved, noise, rows, jacobian, 2 * float(found.cost), left)
 
 
 def estimates(fit: Fit, place: bool) -> Noise:
@@ -279,19 +309,30 @@ def estimates(fit: Fit, place: bool) -> Noise:
     by more than chance.
     """
     noise, problem = fit.noise, fit.problem
+    wider = 1.0
+    if problem.free[GAINS:MIXING].any():
+        total, count = fit.evidence(GAINS, MIXING)
+        if count >= 1:
+            wider = max(math.sqrt(total / count), 1 / noise.gains)
+        noise = noise._replace(gains=noise.gains * wider)
     if problem.channels.all():
-        total, count = fit.mixing
+        total, count = fit.evidence(MIXING, TARE)
         alone = fit.rows.used[:, :2]
         freedom = max(float(alone.sum()) - int(problem.free[TURN:PLACE].sum()) - count, 1.0)
         if _excess(fit, noise._replace(relative=0.0), slice(0, 2)) > freedom + CHANCE * math.sqrt(2 * freedom):
             noise = _estimated(fit, noise, "relative", slice(0, 2), freedom)
-            if not count:
-                noise = noise._replace(mixing=noise.relative, contradiction=noise.relative)
+            # gains that were held back by what was known of them explain more with more freedom
+            if not count and wider < 1.1:
+                if problem.free[GAINS:MIXING].any():
+                    noise = noise._replace(gains=0.0)
+                else:
+                    noise = noise._replace(mixing=noise.relative, contradiction=noise.relative)
         else:
             noise = noise._replace(relative=0.0)
         if count > 1:
             # errors that are alike in all rows are not much larger than the contradiction that they explain
-            noise = noise._replace(mixing=min(max(math.sqrt(total / count), NEGLIGIBLE), 2 * noise.contradiction))
+            mixing = fit.noise.mixing * math.sqrt(total / count)
+            noise = noise._replace(mixing=min(max(mixing, NEGLIGIBLE), 2 * noise.contradiction))
     return _estimated(fit, noise, "place", slice(0, 4), fit.freedom) if place else noise
 
 
@@ -336,7 +377,7 @@ def is_shaped(fit: Fit) -> bool:
     by_shape = columns[:, SHAPE : SHAPE + 2 + problem.channels.all()]
     white = np.where(rows.used, rows.white, 0.0)  # rows that are found without a rod tell nothing of its shape
     residual, axes = left(white.ravel()), np.linalg.qr(left(by_shape))[0]
-    scatter = float(residual @ residual) / max(int(rows.used.sum()) - int(problem.free[:MIXING].sum()), 1)
+    scatter = float(residual @ residual) / max(int(rows.used.sum()) - int(problem.free[:GAINS].sum()), 1)
     return bool(((axes.T @ residual) ** 2).sum() > scatter * chdtri(axes.shape[1], 2 * ndtr(-CHANCE)))
 
 
@@ -389,6 +430,8 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
             "with the rig, what the touches do not tell of them is part of all uncertainties, and scans with this "
             "sensor have them too."
         )
+    if worse := _worse_gains(fit):
+        sentences.append(worse)
     excess = [_above_one(white[rows.used[:, equation], equation] ** 2) for equation in range(4)]
     runs = [_alike(fit, white[:, equation], rows.used[:, equation]) for equation in range(4)]
     # of the equations that only the wrench is in, and of those of the contact
@@ -399,8 +442,7 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     # with a variance of 1.3 the model does not fit
     planar_model = _in_plane(fit)
     spoiled = planar_model or (any(deviates) and (rough or max(excess) > 0.3))
-    inverse = np.linalg.pinv(fit.jacobian)
-    covariance = inverse @ inverse.T
+    covariance = fit.inverse @ fit.inverse.T
     for deviating, square, run, sentence in zip(deviates, squares, alike, (_WRENCHES, _CONTACTS), strict=True):
         if deviating:
             cause = _cause(fit, white, covariance, recording)
@@ -410,11 +452,46 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     if planar_model:
         sentences.append(_PLANAR.format(kind=kind, effect=_SPOILS))
     scatter = [float((white[used, k] ** 2).mean()) * runs[k][0] for k, used in enumerate(rows.used.T) if used.any()]
-    enlarged = max(1.0, total if spoiled else max(scatter))
+    enlarged = max(1.0, total if spoiled else max(scatter)) * (1 + fit.left**2)
     both = rows.used[:, :2].all(axis=1)
     consistency = float((white[both, :2] ** 2).mean()) if both.any() else 1.0
     fits = not (any(deviates) or rough)
-    return Checked(enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled, fits)
+    # what is known of the gains beforehand is not enlarged by misclosures
+    gains = np.flatnonzero(fit.problem.free[GAINS:MIXING])
+    beforehand = covariance[:, GAINS + gains] / fit.problem.beforehand(fit.noise)[gains]
+    covariance = enlarged * covariance - (enlarged - 1) * beforehand @ beforehand.T
+    return Checked(covariance, total / fit.freedom, consistency, tuple(sentences), spoiled, fits)
+
+
+def _worse_gains(fit: Fit) -> str:
+    """What the touches say against the stated accuracy of the sensor; empty if gains like those found may be chance.
+
+    Touches do not tell a factor of all channels from the stiffness, so that of the moments is one against the forces.
+    """
+    free = np.flatnonzero(fit.problem.free[GAINS:MIXING])
+    total, count = fit.evidence(GAINS, MIXING)
+    if not len(free):
+        return ""
+    if not total * fit.noise.gains**2 > chdtri(max(count, 1.0), 2 * ndtr(-CHANCE)):
+        return ""
+    gains, moments = fit.rig.gains[free], free >= 3
+    weight = np.linalg.inv(fit.inverse[GAINS + free] @ fit.inverse[GAINS + free].T)
+    causes = {"moment-scale, the moments are": moments.astype(float)}
+    causes |= {f"{CHANNELS[k]}-scale, {CHANNELS[k]} is": (free == k).astype(float) for k in free}
+    # what the touches tell of each cause, by least squares
+    sizes = {text: float(which @ weight @ gains / (which @ weight @ which)) for text, which in causes.items()}
+    left = {text: float((off := gains - sizes[text] * causes[text]) @ weight @ off) for text in causes}
+    best = min(left, key=lambda text: left[text])
+    factors = [f"{CHANNELS[k]} {1 / (1 + fit.rig.gains[k]):.4g}" for k in free]
+    # one cause is named where it explains nine tenths
+    cause = f"several channels are recorded too large or too small, {', '.join(factors)} times"
+    if left[best] < 0.1 * float(gains @ weight @ gains):
+        cause = f"{best} recorded {1 / (1 + sizes[best]):.4g} times as large as the other channels say"
+    stated = ", ".join(dict.fromkeys(map(share, fit.problem.accuracy[free])))
+    return (
+        f"The gains of the sensor that the touches show exceed its accuracy of {stated} {fit.noise.gains:.2g} times, and the "
+        f"uncertainties are enlarged accordingly. The likeliest cause: {cause}; check the sensor's gains."
+    )
 
 
 def _above_one(square: Array) -> float:
@@ -517,8 +594,9 @@ def calibrated(
     reference: float | Literal["plane"] | None,
     tare: str = "auto",
     pose_noise_m: float | None = None,
+    sensor: Sensor | None = None,
 ) -> Fit:
-    """The fit of a rig, as `scan3d.calibrate`."""
+    """The fit of a rig, as `scan3d.calibrate`; without a `sensor`, gains are exact."""
     if tare not in TARES:
         raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
@@ -526,7 +604,7 @@ def calibrated(
     rod = recording.rod
     touched = Plane.of(rod) if reference == Plane.kind else Sphere.of(reference, rod)
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
-    problem, nominal = measured(recording, touched, tare)
+    problem, nominal = measured(recording, touched, tare, sensor)
     first = 0.3 * ROBOTS if place is None else max(place / rod.length_m, NEGLIGIBLE)
     # relative errors of the wrench are usually some thousandths
     noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, 2e-3 * problem.channels.all())
@@ -572,19 +650,21 @@ def _shaped(problem: Problem, nominal: Rig, noise: Noise, recording: Recording, 
     A shape may make up in part for a wrong diameter of a sphere, or for what no rod does.
     """
     free = problem.free.copy()
-    free[SHAPE:MIXING] = [True, True, problem.channels.all()]
+    free[SHAPE:GAINS] = [True, True, problem.channels.all()]
     try:
         fit = _of_rig(replace(problem, free=free), replace(nominal, marched=True), noise, place)
         _check(fit, recording)
     except InputError:
         return None
     found = checked(fit, recording, place is None)
-    variances = np.diag(found.covariance)[SHAPE:MIXING]
+    variances = np.diag(found.covariance)[SHAPE:GAINS]
     certain = (variances > 0) & (fit.rig.shape**2 > CHANCE**2 * variances)
     return fit if certain.any() and found.fits else None
 
 
-def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Problem, Rig]:
+def measured(
+    recording: Recording, reference: Reference, tare: str, sensor: Sensor | None = None
+) -> tuple[Problem, Rig]:
     """The rows in contact and in the air, dimensionless, and the nominal rig."""
     rod, known, six = recording.rod, recording.noise, recording.six_axis
     if not six and not isinstance(reference, Sphere):
@@ -610,6 +690,8 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
     touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
     free = np.ones(TARE + air.tare.size, dtype=bool)
     free[SHAPE:TARE] = False
+    accuracy, own = sensor or Sensor(np.zeros(6), Frame(np.zeros(3), np.eye(3)))
+    free[GAINS:MIXING] = channels & (accuracy > 0)
     reference = replace(reference, origin=position.mean(axis=0))
     if not six:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
@@ -627,18 +709,22 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
         reference=reference,
         length=1.0,
         tare=air.tare,
+        gains=np.zeros(6),
+        own=wrench_matrix(own.turn, own.position_m / rod.length_m),
         mixing=np.zeros((6, 6)),
         stated=light.in_space(),
         shape=np.zeros(3),
         marched=not light.is_simple,
     )
-    return Problem(touches, air, channels, free), nominal
+    return Problem(touches, air, channels, free, accuracy), nominal
 
 
 def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, estimate: bool) -> Fit:
     """The fit of rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
     seen: set[tuple[bytes, bytes]] = set()
     for _ in range(8):
+        problem.free[GAINS:MIXING] &= noise.gains > 0
+        rig = rig if noise.gains else replace(rig, gains=np.zeros(6))
         problem.free[MIXING:TARE] = noise.mixing > 0
         chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
         # a rod whose shape is sought takes long, and a shape that is one is soon found from the first rig
@@ -771,7 +857,7 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
         turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
         sensor=np.where(free[SENSOR:PLACE], rig.sensor, nominal.sensor),
         length=rig.length if free[LENGTH] else nominal.length,
-        shape=np.where(free[SHAPE:MIXING], rig.shape, nominal.shape),
+        shape=np.where(free[SHAPE:GAINS], rig.shape, nominal.shape),
     )
 
 
@@ -846,7 +932,7 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     if problem.free[SHAPE]:
         if not _away(begun[0]) < 10 * ROBOTS:  # as far as contacts of no fit
             raise _no_fit(best.reference, "")
-        free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
+        free[SHAPE:GAINS] = problem.free[SHAPE:GAINS]
         coarse = replace(problem.rows(evenly(heavy, 150)), free=free)
         return _with_shape(coarse, [fit.rig for fit in begun], noise, rough)
     return fitted(_far_from_tip(coarse, best), best, noise).rig

@@ -33,7 +33,9 @@ from scan3d.spatial.inverse import PAST_TIP, reconstruct
 from scan3d.spatial.march import SpatialRod, reshaped
 
 # Where the parameters stand in their vector, by their numbers; the tare follows them.
-STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, SHAPE, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 3, 36))
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, SHAPE, GAINS, MIXING, TARE = accumulate(
+    (0, 1, 3, 2, 3, 3, 3, 1, 3, 6, 36)
+)
 
 
 class Kind(IntEnum):
@@ -67,8 +69,12 @@ class Rig:
     """Free length of the rod."""
     tare: Array
     """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
+    gains: Array
+    """(6,) what is added to the tared channels of the sensor, as multiples of them."""
+    own: Array
+    """(6, 6) what takes wrenches by the sensor's own channels to those that were recorded, in the frame of a map."""
     mixing: Array
-    """(6, 6) what is added to the tared channels, as multiples of them, against gains and cross-talk of the sensor."""
+    """(6, 6) what is added to the tared channels, as multiples of them, against further gains and cross-talk of the sensor."""
     stated: SpatialRod
     """The rod as it is stated, of the nominal length."""
     shape: Array
@@ -94,9 +100,15 @@ class Rig:
             reference=self.reference.moved(step[PLACE:LENGTH]),
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
+            gains=self.gains + step[GAINS:MIXING],
             mixing=self.mixing + step[MIXING:TARE].reshape(6, 6),
-            shape=self.shape + step[SHAPE:MIXING],
+            shape=self.shape + step[SHAPE:GAINS],
         )
+
+    @property
+    def added(self) -> Array:
+        """(6, 6) what is added to the tared channels, as multiples of them."""
+        return np.asarray(self.mixing + self.own * self.gains @ np.linalg.inv(self.own))
 
     def clamp_axes(self) -> tuple[Array, Array, Array]:
         """(3, 3) from the clamp's frame to the pose's, and its derivatives by the two angles of the tilt."""
@@ -154,7 +166,7 @@ class Bent(NamedTuple):
 def clamp_wrench(rig: Rig, touches: Touches) -> tuple[Array, Array]:
     """(n, 3) support reaction and clamping moment in the clamp's frame."""
     tared = touches.wrench - touches.basis @ rig.tare.T
-    tared += tared @ rig.mixing.T
+    tared += tared @ rig.added.T
     return to_outer(tared[:, :3], tared[:, 3:], rig.turn, rig.sensor)
 
 
@@ -262,16 +274,16 @@ def equations(rig: Rig, touches: Touches) -> Equations:
             by_rig[:, row, TILT + column] = (point_in_pose * (rod.point @ by_angle.T)).sum(axis=1)
             by_rig[:, row, TILT + column] += (tangent_in_pose * (rod.tangent @ by_angle.T)).sum(axis=1)
         if rod.by_shape is not None:
-            by_rig[:, row, SHAPE:MIXING] = np.einsum("ni,nij->nj", point_in_pose @ turn, rod.by_shape[:, :3])
-            by_rig[:, row, SHAPE:MIXING] += np.einsum("ni,nij->nj", tangent_in_pose @ turn, rod.by_shape[:, 3:6])
+            by_rig[:, row, SHAPE:GAINS] = np.einsum("ni,nij->nj", point_in_pose @ turn, rod.by_shape[:, :3])
+            by_rig[:, row, SHAPE:GAINS] += np.einsum("ni,nij->nj", tangent_in_pose @ turn, rod.by_shape[:, 3:6])
         by_rig[:, row, PLACE:LENGTH] = by_place
         by_row[:, row, 6:] = by_point
     value[tip, 3] = rod.s1[tip] - rig.length
     by_wrench[tip, 3], by_rig[tip, 3], by_row[tip, 3] = rod.by_s1[tip], 0, 0
     by_rig[tip, 3, LENGTH] = -1
     if rod.by_shape is not None:
-        by_rig[tip, 3, SHAPE:MIXING] = rod.by_shape[tip, 6]
-        by_rig[:, 0, SHAPE:MIXING] = rod.by_shape[:, 7] / scale
+        by_rig[tip, 3, SHAPE:GAINS] = rod.by_shape[tip, 6]
+        by_rig[:, 0, SHAPE:GAINS] = rod.by_shape[:, 7] / scale
     by_wrench[:, 2:] *= scale
     wrench = np.column_stack([force, moment])
     by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], wrench)
@@ -283,8 +295,9 @@ def equations(rig: Rig, touches: Touches) -> Equations:
     by_rig[:, :, TURN:SENSOR] += np.cross(own, by_moment)
     by_rig[:, :, SENSOR:PLACE] = np.cross(force[:, None], by_moment)
     by_channel = by_wrench @ wrench_matrix(rig.turn, rig.sensor)
-    by_row[:, :, :6] = by_channel + by_channel @ rig.mixing
+    by_row[:, :, :6] = by_channel + by_channel @ rig.added
     tared = touches.wrench - touches.basis @ rig.tare.T
+    by_rig[:, :, GAINS:MIXING] = (by_channel @ rig.own) * (tared @ np.linalg.inv(rig.own).T)[:, None]
     by_rig[:, :, MIXING:TARE] = (by_channel[..., None] * tared[:, None, None]).reshape(n, 4, -1)
     by_rig[:, :, TARE:] = -(by_row[:, :, :6, None] * touches.basis[:, None, None]).reshape(n, 4, -1)
     for row, applies in ((2, sure), (3, tip | (kind == Kind.TANGENTIAL))):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -12,17 +12,28 @@ from typing import Any, Literal
 import numpy as np
 
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.fit import Fit, calibrated, checked
-from scan3d.calibration.model import PLACE, SENSOR, SHAPE, TURN, Kind, Rig
+from scan3d.calibration.fit import Fit, Sensor, calibrated, checked
+from scan3d.calibration.model import GAINS as GAIN
+from scan3d.calibration.model import MIXING, PLACE, SENSOR, SHAPE, TARE, TURN, Kind, Rig
 from scan3d.calibration.references import CHANCE, Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.errors import InputError
-from scan3d.files.text import Section, read_rod, read_section, rod_section, to_toml
+from scan3d.files.text import Section, read_frame, read_rod, read_section, rod_section, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_file, folder, write_atomic
 from scan3d.recording import Recording, reaction_columns
-from scan3d.rigs import RIG_QUANTITIES, Frame, RigUncertainty, euler_of, to_outer, turn_of
+from scan3d.rigs import (
+    DEFAULT_ACCURACY,
+    RIG_QUANTITIES,
+    Frame,
+    RigUncertainty,
+    accuracy_of,
+    euler_of,
+    to_inner,
+    to_outer,
+    turn_of,
+)
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
-from scan3d.units import force, length
+from scan3d.units import force, length, share
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,6 +82,12 @@ class Calibration(Described):
     of a plane `normal`, outward, and `offset_mm`, its distance from the world's origin along the normal."""
     details: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of rows, and how the tare was modelled."""
+    accuracy: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) standard deviations of the gains of the sensor's channels as they are stated, or assumed; 0 for exact gains."""
+    gains: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) what is added to the tared channels of the sensor, as multiples of them."""
+    gains_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    """(6, 6 + k) of the gains with each other, and with the quantities."""
     map_frames: Mapping[str, Any] = field(default_factory=dict)
     """The sections `sensor` and `clamp` of the map with which the touches were imported: `scan3d.import_table` needs them."""
 
@@ -82,11 +99,21 @@ class Calibration(Described):
             ("reference", ", ".join(f"{name} {_short(value)}" for name, value in self.reference.items())),
             ("rod", f"{long}, {stiffness}"),
             ("sensor", f"at {_short(1e3 * self.sensor_position_m)} mm, turned by {_short(self.sensor_euler_deg)}°"),
+            ("gains", self.told_gains),
             ("clamp", f"at {_short(1e3 * self.clamp_position_m)} mm, turned by {_short(self.clamp_euler_deg)}°"),
             ("well determined", f"{well} of {len(self.well)} quantities"),
             ("fit", f"chi² {self.chi2:.3g}, consistency {self.consistency:.3g}, {self.freedom} degrees of freedom"),
             ("remarks", " ".join(self.sentences) or "none"),
         ]
+
+    @property
+    def told_gains(self) -> str:
+        """How well the gains of the sensor's channels are known, in words."""
+        stated = ", ".join(
+            share(accuracy) if accuracy else "exactly" for accuracy in dict.fromkeys(self.accuracy.tolist())
+        )
+        assumed = ", which is assumed: state accuracy under [sensor] of the map, or --accuracy"
+        return f"known to {stated} (one standard deviation)" + assumed * (self.details.get("accuracy") == "assumed")
 
     @property
     def expanded(self) -> Array:
@@ -99,6 +126,14 @@ class Calibration(Described):
             Frame.of(self.sensor_position_m, self.sensor_euler_deg),
             Frame.of(self.clamp_position_m, self.clamp_euler_deg),
         )
+
+    def before(self, title: Literal["sensor", "clamp"]) -> Frame:
+        """The frame that the map of the touches had: the sensor's in the clamp's, or the clamp's in that of the poses."""
+        return read_frame(Section("the rig", self.map_frames.get(title, {}), f"map.{title}"))
+
+    def own_sensor(self) -> Frame:
+        """The frame of the sensor's own channels in the clamp's."""
+        return self.before("sensor").within(self.frames()[0])
 
     def applied(self, recording: Recording, tare: str = "auto") -> Recording:
         """A recording of this rig, as `calibrate` takes it, with poses and reactions of the true clamp, and the true rod.
@@ -119,7 +154,12 @@ class Calibration(Described):
             wrench = wrench - air.basis @ air.tare.T
             force_noise, moment_noise = air.force_noise, air.moment_noise
         sensor, clamp = self.frames()
-        force, moment = to_outer(wrench[:, :3], wrench[:, 3:], sensor.turn, sensor.position_m)
+        force, moment, gains = wrench[:, :3], wrench[:, 3:], self.gains
+        if gains.any():
+            own, sensor = self.before("sensor"), self.own_sensor()
+            shown = to_inner(force, moment, own.turn, own.position_m)
+            force, moment = (part + part * gain for part, gain in zip(shown, np.split(gains, 2), strict=True))
+        force, moment = to_outer(force, moment, sensor.turn, sensor.position_m)
         position, quaternion = clamp.carried(recording.position_m, recording.quaternion)
         # the mean over the components of the variance that the lever adds
         lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
@@ -149,8 +189,14 @@ class Calibration(Described):
         slopes = self._errors()[:, [OF_CONTACTS.index(self.names[k]) for k in known]]
         covariance = slopes @ self.covariance[np.ix_(known, known)] @ slopes.T
         uncertain = np.flatnonzero(np.diag(covariance) > 0)
-        covariance = covariance[np.ix_(uncertain, uncertain)]
-        return RigUncertainty(tuple(RIG_QUANTITIES[k] for k in uncertain), (covariance + covariance.T) / 2, exact)
+        covariance, own = covariance[np.ix_(uncertain, uncertain)], self.own_sensor()
+        names = tuple(RIG_QUANTITIES[k] for k in uncertain)
+        # those that are corrected already are left by as much
+        left = 1 / (1 + self.gains)
+        with_quantities = self.gains_covariance[:, 6:][:, known] @ slopes[uncertain].T
+        gains = left[:, None] * np.hstack([self.gains_covariance[:, :6] * left, with_quantities])
+        frame = (*own.position_m.tolist(), *euler_of(own.turn).tolist()) if gains.any() else (0.0,) * 6
+        return RigUncertainty(names, (covariance + covariance.T) / 2, exact, gains, frame)
 
     def _errors(self) -> Array:
         """(18, 17) what errors of one unit of `OF_CONTACTS` are in `RIG_QUANTITIES`, to the first order."""
@@ -187,6 +233,7 @@ def calibrate(
     sphere: float | None = None,
     tare: str = "auto",
     pose_noise_m: float | None = None,
+    accuracy: float | Sequence[float] | None = None,
 ) -> Calibration:
     """The rig that has touched a reference, which was at a place and in a pose that need not be known.
 
@@ -199,13 +246,22 @@ def calibrate(
         for each sweep), or ``auto``: linear if the rows in the air allow it, else sweep.
     pose_noise_m
         standard deviation of each coordinate of the recorded clamps; None takes the recording's, or estimates it.
+    accuracy
+        standard deviation of the gains of the sensor's channels, one number or one each for fx, fy, fz, mx, my and mz; 0 for
+        gains that are exact.  None takes that of the map with which the recording was imported, or 0.5 %.
 
     The recording has six axes, or three for a rod in a plane past a sphere, and the nominal rod; reactions are those of the
     sensor, neither tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.
     """
     if reference is not None and sphere is not None:
         raise InputError("give either a reference or the diameter of a sphere")
-    fit = calibrated(recording, sphere if reference is None else reference, tare, pose_noise_m)
+    map_frames, stated = _map_frames(recording), accuracy
+    if stated is None:
+        stated = recording.source.get("map", {}).get("sensor", {}).get("accuracy")
+    deviations = accuracy_of(DEFAULT_ACCURACY if stated is None else stated)
+    before = read_frame(Section("the map", map_frames.get("sensor", {}), "sensor"))
+    sensor = Sensor(deviations, before)
+    fit = calibrated(recording, sphere if reference is None else reference, tare, pose_noise_m, sensor)
     nominal, rig, noise, air, touches = recording.rod, fit.rig, fit.noise, fit.problem.air, fit.problem.touches
     estimated = pose_noise_m is None and not recording.noise_pose_m
     found = quantities(fit, rig, nominal)
@@ -214,6 +270,13 @@ def calibrate(
     premises = checked(fit, recording, estimated)
     covariance = by_rig @ premises.covariance @ by_rig.T
     covariance[~known] = covariance[:, ~known] = 0
+    # where cross-talk was found as well, gains are among what mixes the channels
+    of_gains = np.zeros((6, len(fit.problem.free)))
+    of_gains[:, GAIN:MIXING] = np.eye(6)
+    of_gains[:, MIXING:TARE] = np.einsum("ki,jk->kij", np.linalg.inv(rig.own), rig.own).reshape(6, 36)
+    of_gains[:, ~fit.problem.free] = 0
+    gains = of_gains @ premises.covariance
+    gains = np.hstack([gains @ of_gains.T, np.where(known, gains @ by_rig.T, 0.0)])
     deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
     limits = np.array([limit(name, value, nominal, fit) for name, value in found.items()])
     shown = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
@@ -224,12 +287,12 @@ def calibrate(
     rod, sentences = _rod(nominal, rig), premises.sentences
     if recording.gravity is not None and not recording.gravity.tared:
         place = nominal.length_m**2 * premises.covariance[SENSOR:PLACE, SENSOR:PLACE]
-        sensor = Frame(nominal.length_m * rig.sensor, rig.turn)
-        weight = weighed(recording, rod, sensor, rig.clamp_axes()[0], air, place)
+        place_and_turn = Frame(nominal.length_m * rig.sensor, rig.turn)
+        weight = weighed(recording, rod, place_and_turn, rig.clamp_axes()[0], air, place)
         names, values = (*names, "weight_N"), np.append(values, weight.weight_N)
         # a weight that moves contacts by a thousandth of the rod at most
         deviations, limits = np.append(deviations, weight.sd_N), np.append(limits, 0.01 * nominal.force_unit_N)
-        covariance = np.pad(covariance, (0, 1))
+        covariance, gains = np.pad(covariance, (0, 1)), np.pad(gains, ((0, 0), (0, 1)))
         covariance[-1, -1] = weight.sd_N**2 if np.isfinite(weight.sd_N) else 0.0
         if weight.tare_and_drift is not None:
             rod, tare_and_drift = dataclasses.replace(rod, weight_N=weight.weight_N), weight.tare_and_drift
@@ -275,9 +338,13 @@ def calibrate(
             "air": int(air.air.sum()),
             "tare": air.model,
             "pose_noise": "estimated" if estimated else "given",
+            "accuracy": "assumed" if stated is None else "stated",
             **({"relative_error": float(noise.contradiction)} if noise.contradiction > 0 else {}),
         },
-        map_frames=_map_frames(recording),
+        accuracy=sensor.accuracy,
+        gains=of_gains[:, GAIN:TARE] @ np.concatenate([rig.gains, rig.mixing.ravel()]),
+        gains_covariance=gains,
+        map_frames=map_frames,
     )
 
 
@@ -331,7 +398,7 @@ OF_CONTACTS = (
     *(f"curvature_{axis}_per_m" for axis in "zx"),
     "weight_N",
 )
-"""The quantities of a calibration that change contacts."""
+"""The quantities of a calibration that change contacts; the gains do so as well."""
 
 
 def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
@@ -508,7 +575,8 @@ def sections(calibration: Calibration) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "rod": rod_section(rig.rod),
-        "sensor": _frame(rig.sensor_position_m, rig.sensor_euler_deg),
+        "sensor": _frame(rig.sensor_position_m, rig.sensor_euler_deg)
+        | {"accuracy": rig.accuracy.tolist(), "gains": rig.gains.tolist()},
         "clamp": _frame(rig.clamp_position_m, rig.clamp_euler_deg),
         "tare": {
             "force_N": rig.tare[:3].tolist(),
@@ -532,6 +600,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
             "quantities": names,
             "well": np.array(rig.well)[known].tolist(),
             "matrix": rig.covariance[np.ix_(known, known)].tolist(),
+            "gains": rig.gains_covariance[:, np.append(np.ones(6, dtype=bool), known)].tolist(),
         },
         **({"map": dict(rig.map_frames)} if rig.map_frames else {}),
     }
@@ -552,8 +621,10 @@ def read_rig(path: str | Path) -> Calibration:
     rod, sensor, clamp, tare = (data.section(name) for name in ("rod", "sensor", "clamp", "tare"))
     fit, noise, quantities, uncertainty = (data.section(name) for name in ("fit", "noise", "quantities", "uncertainty"))
     uncertainty.any("coverage_factor")
+    with sensor.errors_named():
+        accuracy = accuracy_of(sensor.any("accuracy", 0.0))
     frames, names = data.section("map"), tuple(quantities.data)
-    covariance, well = _covariance(data.section("covariance"), names)
+    covariance, gains, well = _covariance(data.section("covariance"), names, np.diag(accuracy**2))
     known = ("chi2_per_freedom", "consistency", "freedom", "sentences")
     calibration = Calibration(
         rod=read_rod(rod),
@@ -577,6 +648,9 @@ def read_rig(path: str | Path) -> Calibration:
         noise_moment_Nm=noise.number("moment_Nm", 0.0),
         reference=_read_reference(data),
         details={key: fit.any(key) for key in fit.data if key not in known},
+        accuracy=accuracy,
+        gains=np.array(sensor.numbers("gains", 6, (0.0,) * 6)),
+        gains_covariance=gains,
         map_frames={title: dict(frames.notes(title)) for title in ("sensor", "clamp") if title in frames},
     )
     data.finish("; scan3d calibrate writes such a file")
@@ -587,18 +661,29 @@ def _three(section: Section, name: str) -> Array:
     return np.array(section.numbers(name, 3, (0.0, 0.0, 0.0)))
 
 
-def _covariance(section: Section, names: tuple[str, ...]) -> tuple[Array, tuple[bool, ...]]:
-    """The covariance (k, k) of quantities (k,), and whether they are well determined."""
+def _covariance(section: Section, names: tuple[str, ...], stated: Array) -> tuple[Array, Array, tuple[bool, ...]]:
+    """The covariance (k, k) of quantities (k,), that of the gains (6, 6 + k), and whether quantities are well determined.
+
+    Where the file has none of the gains it is the stated one (6, 6).
+    """
     covariance, well = np.zeros((len(names), len(names))), np.zeros(len(names), dtype=bool)
+    gains = np.zeros((6, 6 + len(names)))
+    gains[:, :6] = stated
     listed, matrix, good = section.texts("quantities"), section.any("matrix", []), section.any("well", [])
-    needed = "must have quantities of [quantities], and a row of numbers, a column and true or false for each"
+    of_gains = section.any("gains", None)
+    needed = (
+        "must have quantities of [quantities], and a row of numbers, a column and true or false for each; of the gains six "
+        "rows, with columns for the gains and the quantities"
+    )
     try:
         rows = np.array([names.index(name) for name in listed], dtype=int)
         covariance[np.ix_(rows, rows)] = np.array(matrix, dtype=float).reshape(len(rows), len(rows))
         well[rows] = good
+        if of_gains is not None:
+            gains[:, np.append(np.arange(6), 6 + rows)] = np.array(of_gains, dtype=float).reshape(6, 6 + len(rows))
     except (ValueError, TypeError):
         raise section.error("", needed) from None
-    return covariance, tuple(map(bool, well))
+    return covariance, gains, tuple(map(bool, well))
 
 
 def _read_reference(data: Section) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,6 +26,7 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
+from scan3d.rigs import GAINS
 from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit, force, length, moment, number, plus_minus, share, unit_question
 
@@ -341,6 +343,7 @@ def calibrate(
     unit: Unit = "mm",
     tare: Tare = "auto",
     pose_noise: float | None = None,
+    accuracy: float | None = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
@@ -370,6 +373,8 @@ def calibrate(
         what the sensor shows in the air
     pose_noise
         standard deviation of the clamp's coordinates (default: estimated)
+    accuracy
+        standard deviation of the gains of the sensor's channels (default: that of the map, or 0.005)
     """
     from scan3d.calibration.report import calibrate as calibrate_rig
     from scan3d.calibration.report import check_path, sections, write_rig
@@ -384,7 +389,9 @@ def calibrate(
     touches = read_recording(recording)
     not_rigged(touches.source)
     noise = None if pose_noise is None else scale * pose_noise
-    found = calibrate_rig(touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise)
+    found = calibrate_rig(
+        touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise, accuracy=accuracy
+    )
     write_rig(found, out, overwrite=True)  # checked above
     print_result(output, sections(found), "\n".join([*_quantities(found), printable(f"written to {out}")]))
     if not output.quiet:
@@ -413,6 +420,11 @@ def _quantities(found: Any) -> list[str]:
         else:
             known = plus_minus(value, value - 2 * deviation, value + 2 * deviation)
             lines.append(f"{name:24} {known:>24}  {'well' if well else 'poorly'}")
+    for name, value, variance in zip(GAINS, found.gains, found.gains_covariance.diagonal(), strict=True):
+        if variance:
+            deviation = math.sqrt(variance)
+            lines.append(f"{name:24} {plus_minus(value, value - 2 * deviation, value + 2 * deviation):>24}")
+    lines.append(f"the gains of the sensor's channels are {found.told_gains}")
     details = found.details
     lines.append(
         f"chi2 per degree of freedom {found.chi2:.3f}, of the wrench alone {found.consistency:.3f}; pose noise "

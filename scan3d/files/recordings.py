@@ -92,6 +92,8 @@ def recording_files(
     if recording.rig is not None:
         known = recording.rig
         meta["rig"] = {"quantities": known.names, "covariance": known.covariance.tolist(), "exact": known.exact}
+        if known.gains.any():
+            meta["rig"] |= {"gains": known.gains.tolist(), "sensor": known.sensor}
     meta["source"] = dict(recording.source)
     if Path(name).suffix == PARQUET:
         table = parquet_bytes(columns)
@@ -143,7 +145,8 @@ def read_recording(path: str | Path) -> Recording:
     if "rig" in meta:
         quantities, exact = of_rig.texts("quantities"), of_rig.texts("exact")
         with of_rig.errors_named():
-            rig = RigUncertainty(quantities, of_rig.any("covariance", []), exact)
+            covariance, gains = of_rig.any("covariance", []), of_rig.any("gains", [])
+            rig = RigUncertainty(quantities, covariance, exact, gains, of_rig.any("sensor", (0.0,) * 6))
     known: dict[str, Any] = {
         "rod": read_rod(meta.section("rod")),
         "rig": rig,

@@ -23,6 +23,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scan3d.errors import InputError
+from scan3d.rigs import Frame
 from scan3d.rods import Rod
 from scan3d.units import is_finite
 from scan3d.workers import check_memory
@@ -247,6 +248,12 @@ def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name
         raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{name or path.name} is not a TOML file: {error}") from None
+
+
+def read_frame(section: Section) -> Frame:
+    """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
+    position = [1e-3 * x for x in section.numbers("position_mm", 3, (0.0, 0.0, 0.0))]
+    return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
 
 
 def read_rod(section: Section) -> Rod:

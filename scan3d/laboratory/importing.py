@@ -20,7 +20,6 @@ from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
 from scan3d.files.tables import Table, read_table
-from scan3d.files.text import Section
 from scan3d.laboratory import signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
@@ -33,7 +32,7 @@ from scan3d.laboratory.logs import (
     travel_angles,
     without_transfers,
 )
-from scan3d.laboratory.maps import ORIENTATION_OF, WRENCH_IN, Map, read_frame, read_map
+from scan3d.laboratory.maps import ORIENTATION_OF, WRENCH_IN, Map, read_map
 from scan3d.laboratory.signals import Stretches, find_air, given_air, robust_sd, tare
 from scan3d.recording import CHANNELS, FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
 from scan3d.rigs import Frame, euler_of, wrench_matrix
@@ -139,10 +138,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     own stretches in the air, because it changes from day to day.  Raises InputError as `scan3d.read_rig`.
     """
     found = rig if isinstance(rig, Calibration) else read_rig(rig)
-    sections = (Section("the rig", found.map_frames.get(title, {}), f"map.{title}") for title in ("sensor", "clamp"))
-    sensor_before, clamp_before = (read_frame(section) for section in sections)
-    sensor, clamp = found.frames()
-    sensor, clamp = sensor_before.within(sensor), clamp.within(clamp_before)
+    sensor, clamp = found.own_sensor(), found.frames()[1].within(found.before("clamp"))
     used = {
         name: {"position_mm": (1000 * frame.position_m).tolist(), "euler_deg": euler_of(frame.turn).tolist()}
         for name, frame in (("sensor", sensor), ("clamp", clamp))
@@ -150,6 +146,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     return replace(
         map,
         sensor=sensor,
+        gains=found.gains,
         clamp=clamp,
         rod=found.rod,
         rig={"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name, **used},
@@ -194,7 +191,7 @@ def _converted(table: Table, map: Map) -> Imported:
     sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
     measured = np.ones(len(log), dtype=bool) if sensed.measured is None else sensed.measured
     sensed = sensed._replace(wrench=np.where(measured[:, None], sensed.wrench, 0.0))
-    wrench, known = _clamp_wrench(sensed.wrench, log.present, map, table.name)
+    wrench, known = _clamp_wrench(sensed.wrench * (1 + map.gains), log.present, map, table.name)
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     reach = float(np.ptp(position, axis=0).max()) / map.rod.length_m
     if reach < 0.02:

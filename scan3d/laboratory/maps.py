@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scan3d.arrays import Array
 from scan3d.files.recordings import TABLE, gravity_of, read_known
 from scan3d.files.tables import Layout, Table, guessed_layout, read_table
-from scan3d.files.text import REQUIRED, Section, did_you_mean, read_rod, read_section
+from scan3d.files.text import REQUIRED, Section, did_you_mean, read_frame, read_rod, read_section
 from scan3d.laboratory.bags import bag_files, is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.recording import Known
-from scan3d.rigs import Frame, RigUncertainty
+from scan3d.rigs import Frame, RigUncertainty, accuracy_of
 from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, is_finite, spelled, without_unit
 
@@ -95,6 +96,8 @@ class Map:
     """The clamp's frame in the one whose pose is logged."""
     sensor: Frame
     """The sensor's frame in the clamp's."""
+    gains: Array
+    """(6,) what is added to the tared channels of a calibrated sensor, as multiples of them."""
     matrix: tuple[tuple[float, ...], ...] = ()
     """(6, k), or (3, k) for fx, fy and mz: what the k signals are multiplied by; empty without signals."""
     offset: tuple[float, ...] = ()
@@ -168,6 +171,8 @@ def _map(top: Section) -> Map:
     sweeps, noise = top.section("sweeps"), top.section("noise")
     read, air = _columns(columns), _air(top.section("tare"))
     matrix, offset = _transducer(sensor, read.signals)
+    with sensor.errors_named():  # for a calibration, which finds it among the recording's sources
+        accuracy_of(sensor.any("accuracy", 0.0))
     tares = air != "none"
     gravity = gravity_of(top.section("gravity"), True if tares else REQUIRED) if "gravity" in top else None
     made = Map(
@@ -176,6 +181,7 @@ def _map(top: Section) -> Map:
         factors=_factors(units, usual),
         clamp=read_frame(clamp),
         sensor=read_frame(sensor),
+        gains=np.zeros(6),
         matrix=matrix,
         offset=offset,
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
@@ -332,12 +338,6 @@ def _factors(section: Section, usual: Mapping[str, str]) -> dict[str, float]:
             raise section.error(quantity, f"must be a unit of {quantity}: {', '.join(known)}; got {unit!r}{near}")
         factors[quantity] = known[name]
     return factors
-
-
-def read_frame(section: Section) -> Frame:
-    """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
-    position = np.array(section.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
-    return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
 
 
 def _air(section: Section) -> str | tuple[tuple[float, float], ...]:
@@ -537,6 +537,7 @@ euler_deg = [0, 0, 0]           # "xyz", as all angles below
 position_mm = [0, 0, 0]
 euler_deg = [0, 0, 0]
 shows = "clamp-on-rod"          # or "rod-on-clamp"
+# accuracy = 0.005              # standard deviation of the gains of its channels, for scan3d calibrate
 
 [tare]
 air = "auto"                    # or [[from_s, to_s], ...], or "none"

@@ -28,7 +28,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
-from scan3d.rigs import RIG_QUANTITIES, RigErrors, displaced
+from scan3d.rigs import GAINS, RIG_QUANTITIES, RigErrors, displaced
 from scan3d.spatial import inverse
 from scan3d.spatial.march import reshaped
 
@@ -118,22 +118,23 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     moved: list[list[Array]] = [[], [], []]
     (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
     exact, right = np.zeros(len(RIG_QUANTITIES)), np.zeros(6)
+    rig, gains = recording.rig, np.zeros(len(GAINS))
     # a step between the error of central differences and rounding
-    errors = [(1e-2, component, right) for component in recording.rig.components().T]
+    errors = [(1e-2, *parts, right) for parts in zip(rig.components().T, rig.gain_components().T, strict=True)]
     size = np.zeros((len(rows), 1))
     if relative := recording.rig.relative:
         size = _size(recording, rows)[:, None]
         # about as far as all contacts stay within at once, so that what is not linear in the error of a wrench is part
         # of it
-        errors += [(4.0, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
+        errors += [(4.0, exact, gains, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
 
-    def changed(step: float, component: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
+    def changed(step: float, component: Array, gains: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
         wrench = force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]
-        return _contacts(recording, rows, wrench, noise, step * component)
+        return _contacts(recording, rows, wrench, noise, step * component, step * gains)
 
-    middle = changed(0.0, exact, right)
-    for step, component, of_wrench in errors:
-        sides = changed(step, component, of_wrench), changed(-step, component, of_wrench)
+    middle = changed(0.0, exact, gains, right)
+    for step, *parts in errors:
+        sides = changed(step, *parts), changed(-step, *parts)
         with np.errstate(invalid="ignore"):
             for column, one, between, other in zip(moved, sides[0], middle, sides[1], strict=True):
                 column.append(_larger(one - between, between - other) / step)
@@ -176,13 +177,19 @@ def _contacts(
     wrench: tuple[Array, Array],
     noise: tuple[float, float] | None,
     error: Array,
+    gains: Array,
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (18,)."""
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18,) and gains (6,)."""
     rod, (force, moment) = recording.rod, wrench
     if error[17]:
         heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(error[17])))
         sides = zip(wrench, _wrench(heavier, rows), _wrench(recording, rows), strict=True)
         rod, (force, moment) = heavier.rod, (part + more - less for part, more, less in sides)
+    if gains.any():
+        assert recording.rig is not None
+        shown = np.hstack([force, moment])
+        shown = shown + shown @ np.einsum("k,kij->ji", gains, recording.rig.by_gains(rod.length_m))
+        force, moment = shown[:, :3], shown[:, 3:]
     offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:14]
     softer = np.exp(-error[0])
     force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
@@ -210,6 +217,8 @@ def torsion_sd(recording: Recording, rows: Index) -> Array:
     lever, turn = components[8:11] / recording.rod.length_m, components[11:14]
     moment[:, 1] = 0  # the other components give what is added to it
     parts = displaced(force[:, None], moment[:, None], turn.T, lever.T)[1][..., 1]
+    wrench = np.hstack(_wrench(recording, rows))
+    parts = parts + wrench @ recording.rig.by_gains(recording.rod.length_m)[:, 4].T @ recording.rig.gain_components()
     return np.asarray(np.linalg.norm(parts, axis=1))
 
 
@@ -259,7 +268,9 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
     place, turned = length * moved.place, moved.tangent
     axes = recording.axes()[rows]
     noise = _weights(recording, cloud.model)
-    bent = _contacts(recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)))
+    bent = _contacts(
+        recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)), np.zeros(len(GAINS))
+    )
     tangent = np.einsum("ni,nij->nj", bent[1], axes)
     tangential = cloud.phase[part] == planar.Phase.TANGENTIAL
     turned = np.where(tangential[:, None, None], turned, 0.0)
