@@ -34,6 +34,8 @@ SEVERAL = 4.0
 sensor writes a value two or three times."""
 # Values in the air, at least, that tell the noise.
 _FEWEST = 20
+# Rows before and after a run that tell how values repeat there.
+_BESIDE = 200
 # Values in the air, at least, for each run that repeats: a simulated log without noise has light touches only beside such runs.
 _FRESH = 20
 
@@ -67,10 +69,12 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
     fresh: Mask = np.asarray(differs.any(axis=1))
     found: list[Gap] = []
     chances = np.array([_chance(values[:, k], air, differs[:, j]) for j, k in enumerate(varying)])
-    stopped = _repeating(fresh, float(chances.prod()), pose)
-    alone = [_repeating(differs[:, j], float(chances[j]), pose) for j in range(len(varying))]
-    if not _noisy(values[:, varying], air & fresh, max(map(len, (stopped, *alone)))):
+    stopped = _repeating(fresh, values[:, varying], chances, pose)
+    if not _noisy(values[:, varying], air & fresh, len(stopped)):
         return []
+    alone = [_repeating(differs[:, j], values[:, [k]], chances[[j]], pose) for j, k in enumerate(varying)]
+    for j, k in enumerate(varying):
+        alone[j] = alone[j] if _noisy(values[:, [k]], air & differs[:, j], len(alone[j])) else []
     left = np.zeros(len(values), dtype=bool)
 
     def add(gap: Gap) -> None:
@@ -157,23 +161,47 @@ def _sentence(
     return f"{name} keeps {value} {times} ({size:,} rows) while the clamp moves: {what}; these rows are left out"
 
 
-def _repeating(differs: Mask, chance: float, pose: Array) -> list[tuple[int, int]]:
+def _repeating(differs: Mask, values: Array, chances: Array, pose: Array) -> list[tuple[int, int]]:
     """Runs of equal values that are no chance: the first row of each, and the one after its last.
 
     differs
-        (n,) whether the row has another value than the one before.
-    chance
-        largest probability that a value repeats.
+        (n,) whether the row of the values (n, c) differs from the one before.
+    chances
+        (c,) largest probability that a channel repeats a value.
     """
+    chance = float(chances.prod())
     start = np.flatnonzero(differs)
     stop = np.append(start[1:], len(differs))
     length = stop - start
     if chance >= 1:
         return []
-    least = SEVERAL if chance <= 0 else max(SEVERAL, np.log(CHANCE / len(differs)) / np.log(chance))
-    long = np.flatnonzero(length > least * np.median(length))
+    usual = float(np.median(length))
+    long = np.flatnonzero(length > usual * _longest(chance, len(differs)))
     long = long[(pose[start[long]] != pose[stop[long] - 1]).any(axis=1)]
-    return list(zip(start[long].tolist(), stop[long].tolist(), strict=True))
+    found = []
+    for a, b in zip(start[long].tolist(), stop[long].tolist(), strict=True):
+        # a tare that follows a drift hides the steps of a converter elsewhere, but not beside the run
+        chance = float(np.prod([_beside(column, a, b) for column in values.T]))
+        if b - a > usual * _longest(chance, len(differs)):
+            found.append((a, b))
+    return found
+
+
+def _longest(chance: float, count: int) -> float:
+    """The longest run among so many rows that is chance, where a value repeats with this probability."""
+    if chance >= 1:
+        return np.inf
+    return SEVERAL if chance <= 0 else max(SEVERAL, float(np.log(CHANCE / count) / np.log(chance)))
+
+
+def _beside(column: Array, start: int, stop: int) -> float:
+    """The larger `_chance` of the rows of a channel (n,) before and after a run; 1 where few of them differ."""
+    found = []
+    for rows in (column[max(start - _BESIDE, 0) : start + 1], column[stop : stop + _BESIDE]):
+        differs = np.append(True, np.diff(rows) != 0)[: len(rows)]
+        if differs.sum() > _FEWEST:
+            found.append(_chance(rows, np.ones(len(rows), dtype=bool), differs))
+    return max(found, default=1.0)
 
 
 def _rows(runs: list[tuple[int, int]]) -> Index:
@@ -191,8 +219,10 @@ def _chance(column: Array, air: Mask, differs: Mask) -> float:
         inside = np.ones_like(inside)
     if step == 0 or len(inside) < _FEWEST:
         return 1.0
-    second = np.abs(values[:-2] - 2 * values[1:-1] + values[2:])[inside]
-    share, sizes = float((second > 2.5 * step).mean()), _sizes()
+    large = np.abs(values[:-2] - 2 * values[1:-1] + values[2:])[inside] > 2.5 * step
+    # touches, which change by many steps, are in few parts of the log
+    pieces = np.array_split(large, max(1, min(_FEWEST, len(large) // _FEWEST)))
+    share, sizes = float(np.quantile([piece.mean() for piece in pieces], 0.25)), _sizes()
     if share < sizes[1][0]:
         return 1.0
     size = float(np.interp(share, sizes[1], sizes[0]))
@@ -355,8 +385,8 @@ def _moves_on(values: Array, start: Index, count: Array, regular: Mask) -> bool:
 _BLOCKS, _ROWS, _LEAST = 60, 40, 0.2
 # Standard deviations of the noise by which a row may be off a value.
 _SIGMAS = 4.0
-# Standard deviations of the noise by which a zero that jumps is off at least.
-_JUMP = 6.0
+# Standard deviations of the noise, or steps of a converter, by which a zero that jumps is off at least.
+_JUMP = 8.0
 # Rows that a jump takes at most, as where the wrench of a log is interpolated or its sensor filters.
 _TAKES = 8
 
@@ -381,7 +411,7 @@ def _step_between(wrench: Array, start: int, stop: int, size: Array, noise: Arra
     It may take some rows, and a contact changes by some of it meanwhile.
     """
     known = wrench[start:stop]
-    most = max(_JUMP, 0.25 * float((np.abs(size) / noise).max()))
+    most = max(_JUMP / 2, float((np.abs(size) / noise).max()) / 4)
     for rows in range(1, min(_TAKES, len(known) - 1) + 1):
         off = (np.abs(known[rows:] - known[:-rows] - size) / noise).max(axis=1)
         row = int(off.argmin())
@@ -426,7 +456,8 @@ def jumps_of(wrench: Array, calm: Mask) -> list[Jump]:
     known = wrench[rows]
     if len(known) < 4 * _ROWS:
         return []
-    noise = np.maximum(noise_of(known), 1e-4 * reach_of(known))
+    steps = np.array([_step(column) for column in known.T])
+    noise = np.maximum(np.maximum(noise_of(known), 1e-4 * reach_of(known)), steps)
     levels = _levels(known, noise)
     found: list[Jump] = []
     before, last, alike = 0, 0, 1  # the block that has the zero now, the row where it began, and the blocks that had it

@@ -73,7 +73,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.measured import as_measured, as_recorded, measured, unmeasured
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.recording import FORCE, LARGEST_OVER_SD, Recording, rounding_sd
+from scan3d.recording import FORCE, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, rounding_sd
 from scan3d.rigs import with_relative
 from scan3d.units import UNITS_M, angle, length, number, point, share
 
@@ -466,7 +466,7 @@ def _agrees_in_space(recording: Recording) -> bool:
 def _off_zero(recording: Recording) -> list[Contradiction]:
     """Whether the sensor shows zero at the beginnings and ends of the sweeps, where the rod is in the air.
 
-    The median of many rows is off by a standard deviation of one row, by a drift that a tare leaves, but hardly by more.
+    A drift that a tare leaves is no fault as long as it is well below what counts as a touch.
     """
     noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
     if not min(recording.noise_force_N, recording.noise_moment_Nm):
@@ -486,7 +486,7 @@ def _off_zero(recording: Recording) -> list[Contradiction]:
                 continue
             count += 1
             size = float(np.abs(np.median(part, axis=0)).max())
-            if size > 1 + 5 / np.sqrt(len(part)):
+            if size > FORCE_SIGMAS / 2 + 5 / np.sqrt(len(part)):
                 largest, off = max(largest, size), off + 1
     if not off:
         return []
