@@ -192,9 +192,15 @@ def _any_in(found: list[Jump], start: int, stop: int) -> bool:
 def roughly_air(wrench: Array) -> Mask:
     """The rows (n,) of a wrench (n, c) that are near its zero, which is followed through the log.
 
-    Rows that repeat the one before count once in finding it.
+    Rows that repeat the one before, or a channel for a tenth of the log, count once in finding it.
     """
-    fresh = np.append(True, (np.diff(wrench, axis=0) != 0).any(axis=1))
+    differs = np.concatenate([np.ones((1, wrench.shape[1]), dtype=bool), np.diff(wrench, axis=0) != 0])
+    fresh: Mask = np.asarray(differs.any(axis=1))
+    for column in differs[:, differs[1:].any(axis=0)].T:
+        start = np.flatnonzero(column)
+        length = np.diff(np.append(start, len(column)))
+        fresh &= column | np.repeat(length <= len(column) / 10, length)
+    fresh[0] = True
     known = wrench[fresh]
     scale = _scales(known)
     near = (np.abs(known - _followed(known, np.flatnonzero(fresh).astype(np.float64), scale)) <= scale).all(axis=1)
