@@ -222,7 +222,9 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if (reached := analysis.reach) is not None:
-        outcome = reached.refuted or reached.unbounded or "contacts and free space do not contradict it"
+        outcome = (
+            reached.refuted or reached.unbounded or "contacts and free space do not contradict it, which proves nothing"
+        )
         what = (
             "a body, and surroundings, without features finer than the reach, without cavities and touched in each part"
         )

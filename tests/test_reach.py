@@ -79,11 +79,58 @@ def test_a_reach_that_the_waist_does_not_have_is_refuted():
     assert found.unbounded is None
 
 
+def two_balls(noise=0.0):
+    """Radius, in mm, of two balls with a fillet of 8 mm between them; circles of 15 mm, 16 mm apart."""
+    ball, fillet, half = 15.0, 8.0, 8.0
+    away = np.sqrt((ball + fillet) ** 2 - half**2)
+
+    def radius(z):
+        z = np.abs(np.asarray(z, dtype=float))
+        of_ball = np.sqrt(np.maximum(ball**2 - (z - half) ** 2, 0.0))
+        return np.where(z < half * fillet / (ball + fillet), away - np.sqrt(np.maximum(fillet**2 - z**2, 0.0)), of_ball)
+
+    recording = recording_of(radius, np.linspace(-24.2, 24.2, 26), samples=24)
+    if not noise:
+        return recording, contacts(recording)
+    rng, sizes = np.random.default_rng(0), (noise * recording.rod.force_unit_N, noise * recording.rod.moment_unit_Nm)
+    recording = replace(
+        recording,
+        force_N=recording.force_N + sizes[0] * rng.normal(size=recording.force_N.shape),
+        moment_Nm=recording.moment_Nm + sizes[1] * rng.normal(size=len(recording)),
+        noise_force_N=sizes[0],
+        noise_moment_Nm=sizes[1],
+    )
+    return recording, contacts(recording)
+
+
+@pytest.mark.parametrize(("R", "refuted"), [(0.95 * 8.0, False), (1.2 * 8.0, True), (1.5 * 8.0, True)])
+def test_a_reach_that_a_fillet_does_not_have_is_refuted(R, refuted):
+    """Balls that touch at a contact tell more than the two bodies, whose grid hides 1 mm: the fillet has 8 mm."""
+    found = reach(*two_balls(), R)
+    assert bool(found.refuted) == refuted
+    if refuted:
+        assert "contacts lie where no two balls of this radius touch" in found.refuted
+
+
 def test_without_slices_beyond_its_ends_nothing_bounds_the_body():
     found = reach(*peanut(1, len(HEIGHTS) - 1), 5.0)
     assert found.refuted is None
-    assert "nothing bounds the body" in found.unbounded
+    assert "nothing bounds the body towards" in found.unbounded
+    sides, why = found.unbounded.split("towards ")[1].split(": ")
+    assert {"-z", "+z"} <= {*sides.split(", ")}
+    assert "no slice without contact lies beyond the body's end" in why
     assert found.bound == np.inf
+    assert not len(found.outer.faces)  # an open surface would contain nothing
+
+
+def test_noise_that_lets_balls_through_is_named():
+    """The same slices bound the body without noise."""
+    exact, noisy = (reach(*two_balls(noise), 7.6) for noise in (0.0, 3e-3))
+    assert exact.unbounded is None
+    assert exact.outer.is_watertight
+    assert noisy.refuted is None
+    assert "that noise moves by up to" in noisy.unbounded
+    assert not len(noisy.outer.faces)
 
 
 def test_a_reach_finer_than_the_slices_are_apart_bounds_nothing(monkeypatch):

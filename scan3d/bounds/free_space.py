@@ -22,11 +22,16 @@ least R away from all free places, as far as these centres are connected with su
 that are at least R away from all contacts, as far as these are connected with the outside.  Where contacts are apart by more
 than 2R, balls roll in between, and nothing is claimed.  The sheets of free space play no part in it.
 
-Every closed surface between the two is as close to the body's surface as they are to each other.  A contact outside the outer
-body, or a free place inside the inner one, refutes the premise.
+Every closed surface between the two is as close to the body's surface as they are to each other.
 
-Centres and places are those of a grid.  Distances on it are never less than the true ones; how far a centre lies from the next
-one of the grid, half the diagonal of a cell at most, is allowed for in each step.
+*Test.*  At a contact p a ball of the body and one of the surroundings touch, so that their centres are at ``p ∓ R u`` with one
+unit vector u.  The one holds no free place q and the other no contact q, which is ``∓ u·(q - p) ≤ |q - p|² / 2R``.  Where no
+unit vector fulfils all of these inequalities, whatever the errors, the premise is refuted.  A contact outside the outer body or
+inside the inner one, and a place outside the one and inside the other, refute it as well.  What is not refuted is a premise.
+
+Centres and places are those of a grid.  Distances on it are never less than the true ones.  How far a centre lies from the next
+one of the grid, half the diagonal of a cell at most, is allowed for where a centre is excluded, again where a place is within R
+of one, and again where a place between the two bodies is far from both.
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from planar.hidden import SNAPPED
-from scan3d.arrays import AT_ONCE, Array, Index, Mask, ranges, ratio
+from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, evenly, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -395,6 +400,8 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
 # Cells in R at least, and cells around the balls.
 _COARSEST, _AROUND = 4.0, 3
 _EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
+# Contacts at which two balls are sought, evenly over the recording: a hundredth of a second each.
+_TESTED = 400
 
 
 @dataclass(frozen=True)
@@ -436,11 +443,11 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
         )
     error = float(errors.max())
     of_free = max(sheet.cell for sheet in sheets) / np.sqrt(2) + error
-    # every centre lies within half a diagonal of one of the grid; distances are linear between cells but for their curvature
     half = grid.step * np.sqrt(3) / 2
-    level = R + half + 3 * grid.step**2 / (8 * R)
+    level = R + half + grid.curvature(R)
     to_contact = grid.distance(contacts)
-    in_body = grid.distance(free) >= R - half - of_free
+    to_free = grid.distance(free)
+    in_body = to_free >= R - half - of_free
     touching = np.nonzero(in_body & (to_contact <= R + 3 * half + error))
     nearest = cKDTree(contacts).query(grid.origin + grid.step * np.stack(touching, axis=1))[0]
     seeds = np.zeros(grid.shape, dtype=bool)
@@ -448,11 +455,20 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     in_body = joined(in_body, seeds, _EVERY_NEIGHBOUR)
     in_air = joined(to_contact >= R - half - error, grid.border(), _EVERY_NEIGHBOUR)
     to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
-    outer, inner = _below(to_body, level, grid), _below(-to_air, -level, grid)
+    leaks = (to_body <= level) & grid.border()
+    # an open surface contains nothing
+    outer = _below(np.full(grid.shape, np.inf) if leaks.any() else to_body, level, grid)
+    inner = _below(-to_air, -level, grid)
+    # those of a body that is grown by the rod's radius leave so much less room to the surroundings
+    thick = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit] if cloud.fattened is not None else 0.0
+    lost = _without_balls(
+        contacts, errors, np.concatenate([_thinned(sheet, R) for sheet in sheets]), of_free, R, R - thick
+    )
     against = {
-        "contacts lie outside the outer body": grid.at(to_body, contacts) > level + half + errors,
-        "free places lie inside the inner body": grid.at(to_air, free) > level + half + of_free,
-        "cells are outside the one and inside the other": (to_body > level) & (to_air > level),
+        "contacts lie where no two balls of this radius touch": lost,
+        "contacts lie outside the outer body": ~grid.within(in_body, contacts, R + half + errors),
+        "contacts lie inside the inner body": ~grid.within(in_air, contacts, R + half + errors),
+        "cells are outside the one and inside the other": (to_body > R + half) & (to_air > R + half),
     }
     contradictions = [f"{np.count_nonzero(where)} {what}" for what, where in against.items() if where.any()]
     refuted = unbounded = None
@@ -462,12 +478,17 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
             f"the body has features finer than {length(R, cloud.unit)}, or rods touched at a second place unnoticed: "
             f"{' and '.join(contradictions)}; take a smaller reach"
         )
-    elif (in_body & grid.border()).any():
-        place = grid.centres(in_body & grid.border()).mean(axis=0)
-        unbounded = (
-            f"nothing bounds the body towards ({', '.join(f'{x:.3g}' for x in place)}) {cloud.unit}: slices farther apart than "
-            "twice the reach, or none beyond the body's end; scan along further axes"
-        )
+    elif leaks.any():
+        why = ""
+        for margin, text in (
+            (half + of_free - error, f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"),
+            (0.0, f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"),
+        ):
+            without = joined(to_free >= R - margin, to_contact <= R + min(margin, half), _EVERY_NEIGHBOUR)
+            if not (without & grid.border()).any():
+                why = f"{text} leave gaps which are closed without; take more slices, or a smaller reach"
+                break
+        unbounded = _open(grid, leaks, sheets, touched, R, why)
     elif cloud.fattened is not None:
         unbounded = (
             "the two bodies are those of the body grown by the rod's radius; no bound of the body itself follows"
@@ -475,9 +496,14 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     elif not (to_air > level).any():
         unbounded = "contacts are too far apart to enclose anything for this reach; take more slices and samples"
     else:
-        between = (to_body <= level) & (to_air <= level)
-        to_outer, to_inner = grid.from_cells(to_body > level), grid.from_cells(to_air > level)
-        wide = np.maximum(to_outer, to_inner)
+        outside, inside = to_body > level, to_air > level
+        # a place that is in both bodies, or in neither, is in a cube of the grid with corners of such a kind: its nearest
+        # centre has neighbours, or itself, that are not outside, and such that are not inside
+        between = ~(
+            ndimage.binary_erosion(outside, _EVERY_NEIGHBOUR, border_value=1)
+            | ndimage.binary_erosion(inside, _EVERY_NEIGHBOUR)
+        )
+        wide = np.maximum(grid.from_cells(outside), grid.from_cells(inside))
         bound = float(wide[between].max(initial=0.0) + half)
         if surface is not None:
             # from each face to the body's surface, which lies between the two, and back from all between the two
@@ -489,9 +515,78 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     return Reach(outer, inner, bound, refuted, unbounded)
 
 
+def _without_balls(points: Array, errors: Array, free: Array, of_free: float, R: float, outside: float) -> Mask:
+    """Contacts (n,) at which no ball of radius R without free places (m, 3) touches one of radius `outside` without contacts.
+
+    With the errors e of two places and ``d = q - p`` the unit vector u between the centres has ``±u·d ≤ b`` with
+    ``b = |d|²/2R + e_q + (1 + |d|/R) e_p + e_p²/2R``.  The set of all u with these is a polytope that contains 0, so that it
+    has a unit vector unless it lies inside the unit ball, which it does if the hull of all ``±d/b`` contains that ball.
+    """
+    lost = np.zeros(len(points), dtype=bool)
+    trees = cKDTree(points), cKDTree(free)
+    for k in evenly(np.arange(len(points)), _TESTED):
+        rays = [np.vstack([np.eye(3), -np.eye(3)]) / 2]  # so that the hull has an inside
+        for tree, size, sign, error in ((trees[0], outside, 1.0, errors), (trees[1], R, -1.0, of_free)):
+            if size <= 0:
+                continue
+            near = np.array(tree.query_ball_point(points[k], 2 * size), dtype=int)
+            d = tree.data[near] - points[k]
+            long = np.linalg.norm(d, axis=1)
+            own, other = errors[k], error[near] if isinstance(error, np.ndarray) else error
+            b = long**2 / (2 * size) + other + (1 + long / size) * own + own**2 / (2 * size)
+            some = long > b  # shorter rays are in the ball
+            rays.append(sign * d[some] / b[some, None])
+        hull = ConvexHull(np.concatenate(rays))
+        lost[k] = bool((hull.equations[:, 3] < -1 - ROUNDING).all())
+    return lost
+
+
+def _thinned(sheet: Sheets, R: float) -> Array:
+    """(n, 3) centres of free cells: all at the border of what is free, and others a tenth of R apart."""
+    every = max(int(0.1 * R / sheet.cell), 1)
+    chosen = sheet.free & ~ndimage.binary_erosion(sheet.free, _IN_PLANE)
+    chosen[:, ::every, ::every] = sheet.free[:, ::every, ::every]
+    return _centres(sheet, chosen)
+
+
+def _open(grid: _Grid, leaks: Mask, sheets: list[Sheets], touched: Cloud, R: float, why: str) -> str:
+    """Towards which sides nothing bounds a body, and why, if that is not known already."""
+    places = grid.centres(leaks)
+    sides = [
+        f"{sign}{name}"
+        for axis, name in enumerate("xyz")
+        for sign, end in (("-", 0), ("+", grid.shape[axis] - 1))
+        if np.take(leaks, end, axis=axis).any()
+    ]
+    # the slices of no axis go past both ends of the body
+    ends = [{0, len(sheet.height) - 1} & {*sheet.number[touched.slice].tolist()} for sheet in sheets]
+    gap = np.zeros(len(places))
+    for sheet in sheets:
+        if len(sheet.height) > 1:
+            above = np.clip(np.searchsorted(sheet.height, places @ sheet.frame[2]), 1, len(sheet.height) - 1)
+            gap = np.maximum(gap, np.diff(sheet.height)[above - 1])
+    apart = float(gap.max())
+    if why:
+        pass
+    elif all(ends):
+        why = (
+            "no slice without contact lies beyond the body's end; add slices past its ends, or scan along further axes"
+        )
+    elif apart > 2 * R:
+        why = f"slices are {length(apart, touched.unit)} apart, more than twice the reach; take more slices"
+    else:
+        why = "sweeps leave places out; sweep from more sides, or scan along further axes"
+    return f"nothing bounds the body towards {', '.join(sides)}: {why}"
+
+
 def _free_places(sheet: Sheets) -> Array:
     """(n, 3) the centres of the free cells."""
-    number, y, x = np.nonzero(sheet.free)
+    return _centres(sheet, sheet.free)
+
+
+def _centres(sheet: Sheets, cells: Mask) -> Array:
+    """(n, 3) the centres of some cells."""
+    number, y, x = np.nonzero(cells)
     flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
     return flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
 
@@ -547,6 +642,23 @@ class _Grid:
         if not cells.any():
             return np.full(self.shape, np.inf)
         return self.step * ndimage.distance_transform_edt(~cells)
+
+    def curvature(self, R: float) -> float:
+        """By how much a surface of distance R, linear along the edges of the cubes, may lie inside that of the true distance.
+
+        A distance d from some centres is concave but for ``|x|²/2d``: along an edge its interpolation exceeds it by step²/8d at
+        most, and at a mean of places in one cube, whose mean square from their mean is 3 step²/4 at most, by 3 step²/8d.
+        The least d in a cube through which the surface passes is R less half its diagonal.
+        """
+        return self.step**2 / (2 * (R - self.step * np.sqrt(3) / 2))
+
+    def within(self, cells: Mask, points: Array, most: Array) -> Mask:
+        """(n,) whether points (n, 3) are within distances (n,) of the centre of one of some cells, or in one of them."""
+        edge = cells & ~ndimage.binary_erosion(cells, _EVERY_NEIGHBOUR)
+        if not edge.any():
+            return np.zeros(len(points), dtype=bool)
+        near = cKDTree(self.centres(edge)).query(points)[0] <= most
+        return np.asarray(near | (self.at(cells.astype(float), points) > 0))
 
     def at(self, values: Array, points: Array) -> Array:
         """The values (n,) of the cells of points (n, 3); -inf for those outside the grid."""
