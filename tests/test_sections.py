@@ -76,7 +76,7 @@ def test_slices_through_vertices_and_faces():
         assert len(polygon) == 4
         assert {tuple(p) for p in polygon} == square
         assert area(polygon) == 4
-    for height in (1 + 1e-13, -1.1, np.nan, np.inf):
+    for height in (1 + 1e-10, -1.1, np.nan, np.inf):
         assert slice_polygons(cube, np.eye(3), [height])[0].shape == (0, 2)
 
 

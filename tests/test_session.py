@@ -161,13 +161,14 @@ def check_clear(poses, session):
         assert not segments_meet(known, between[backwards], axes[:-1][backwards, 1], length).any()
 
 
+ROD = Rod.of_length(0.08).without_thickness()
 AXES = {"x": (1, 0, 0), "down": (0, 0, -1), "oblique": (0.3, -0.2, 1), "level and oblique": (1, 2, 0), "two": None}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES)
 def test_further_poses_follow_the_frames_of_the_recording_above_the_floor(egg, axis):
-    plan = scan3d.Plan(slices=5, samples=24, axis="xz" if axis == "two" else AXES[axis], rod=Rod.of_length(0.08).without_thickness())
+    plan = scan3d.Plan(slices=5, samples=24, axis="xz" if axis == "two" else AXES[axis], rod=ROD)
     recording = scan3d.simulate(egg, plan)
     session = Session("cylinder:60x60", rod=recording.rod, samples=24, floor=1.0)
     session.tell(recording)
@@ -195,7 +196,7 @@ def moved_by(recording, turn, shift):
 @pytest.mark.slow
 def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
     """They keep away from what is known; where the bounding body or the table is elsewhere, there is a sentence."""
-    recording = scan3d.simulate(egg, scan3d.Plan(slices=5, samples=24, rod=Rod.of_length(0.08).without_thickness()))
+    recording = scan3d.simulate(egg, scan3d.Plan(slices=5, samples=24, rod=ROD))
     session = Session("cylinder:80x70", rod=recording.rod, samples=24)
     session.tell(moved_by(recording, (0.12, -0.1, 0.7), (0.004, -0.003, 0.008)))
     check_clear(session.ask(12), session)

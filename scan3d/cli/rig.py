@@ -26,7 +26,6 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
-from scan3d.rigs import GAINS
 from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit, force, length, moment, number, plus_minus, share, unit_question
 
@@ -412,6 +411,8 @@ def rigged(recording: Any, rig: Path | None) -> Any:
 
 
 def _quantities(found: Any) -> list[str]:
+    from scan3d.rigs import GAINS
+
     lines = [f"{'quantity':24} {'value ± expanded U':>24}  determined"]
     columns = found.names, found.values, found.standard_deviations, found.well
     for name, value, deviation, well in zip(*columns, strict=True):
