@@ -203,7 +203,9 @@ def roughly_air(wrench: Array) -> Mask:
     fresh[0] = True
     known = wrench[fresh]
     scale = _scales(known)
-    near = (np.abs(known - _followed(known, np.flatnonzero(fresh).astype(np.float64), scale)) <= scale).all(axis=1)
+    near: Mask = np.asarray(
+        (np.abs(known - _followed(known, np.flatnonzero(fresh).astype(np.float64), scale)) <= scale).all(axis=1)
+    )
     return np.asarray(near[np.cumsum(fresh) - 1])
 
 
