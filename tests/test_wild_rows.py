@@ -79,7 +79,8 @@ def test_wild_rows_are_left_out_and_the_rest_is_certified(body, kind, noise, see
     for seed in range(seeds):
         analysis = analyse(disturbed(exact(body), noise, kind, seed), BODIES[body], "hull")
         left = analysis.cloud.left_out
-        seen += left is not None
+        # rows that are stuck are none that were measured
+        seen += left is not None or analysis.cloud.unmeasured is not None
         if left is not None and left.too_many:
             assert left.share < agreement.LARGEST_SHARE
             assert analysis.warnings

@@ -23,13 +23,14 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scan3d.errors import InputError
-from scan3d.rigs import Frame
 from scan3d.rods import Rod
 from scan3d.units import is_finite
 from scan3d.workers import check_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from scan3d.rigs import Frame
 
 
 def check_readable(path: Path, *, memory_per_byte: float = 2.0) -> None:
@@ -252,6 +253,8 @@ def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name
 
 def read_frame(section: Section) -> Frame:
     """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
+    from scan3d.rigs import Frame  # which takes numpy: help and settings do not wait for it
+
     position = [1e-3 * x for x in section.numbers("position_mm", 3, (0.0, 0.0, 0.0))]
     return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
 
