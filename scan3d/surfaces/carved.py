@@ -26,8 +26,9 @@ from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_conto
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
-from scan3d.geometry.triangles import areas, kept_apart, without_unused
+from scan3d.geometry.triangles import areas, kept_apart
 from scan3d.recording import Recording
+from scan3d.surfaces.tetrahedra import border, links, mend, parts, refined, shared
 
 KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
 """Classes of the surface: within the spacing of a contact; between slices, where rods have reached; where no rod has."""
@@ -35,8 +36,6 @@ KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
 _JOGGLE, _SEED = 1e-4, 0
 # Distance from a contact, in spacings, up to which it supports a contour.
 _SUPPORTED = 1.5
-# Edges of a tetrahedron, and the corners that each does not have, opposite which lie the faces that contain it.
-_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     faces = corners[_bounded(points[corners], corners < len(touched), sheets, spacing)]
     # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
     points[: len(cloud)] = cloud.points
-    vertices, faces = _refined(points, faces, 2 * spacing)
+    vertices, faces = refined(points, faces, 2 * spacing)
     surface = trimesh.Trimesh(vertices, faces, process=False)
     surface.metadata.update(
         method="carved", reason="tetrahedra between the contacts, carved by what the rods have passed"
@@ -143,36 +142,36 @@ def _bounded(points: Array, touched: Mask, sheets: list[Sheets], spacing: float)
     fine = max(min(sheet.cell, sheet.apart) for sheet in sheets) / 2
     body = depth < np.where(touched[corners].all(axis=1), fine, -_JOGGLE * spacing)
     # free space comes from outside, and the body has no splinters in it
-    part = _parts(~body, neighbours)
+    part = parts(~body, neighbours)
     from_outside = np.zeros(len(body) + 1, dtype=bool)
     from_outside[part[~body & (neighbours < 0).any(axis=1)]] = True
     body |= ~from_outside[part]
-    part = _parts(body, neighbours)
+    part = parts(body, neighbours)
     sizes = np.bincount(part[body], volume[body], minlength=len(body) + 1)
     # smaller parts are splinters between rods
     body &= sizes[part] >= 1e-3 * sizes.sum()
     if not body.any():
         raise InputError("the contacts span no body that the rods have left free; take more sweeps in a slice")
     # contacts on flat parts may have slivers above them
-    faces = _border(body, joggled, corners, neighbours)[0]
+    faces = border(body, joggled, corners, neighbours)[0]
     deep = np.setdiff1d(np.flatnonzero(touched), np.append(faces, corners[~body]))
     deep = deep[Search(points[faces]).nearest(points[deep])[0] > 2 * fine]
     _uncover(body, deep, corners, neighbours, volume * np.abs(depth))
     for rounds in range(len(body)):
-        faces, owner = _border(body, joggled, corners, neighbours)
-        wrong = _shared(faces)
+        faces, owner = border(body, joggled, corners, neighbours)
+        wrong = shared(faces)
         if not len(wrong):
             break
         # edges with more than two faces are mended by the smaller side first; later tetrahedra are only added
-        _mend(body, wrong, corners, neighbours, volume * np.abs(depth), only_add=rounds >= 8)
+        mend(body, wrong, corners, neighbours, volume * np.abs(depth), only_add=rounds >= 8)
     return faces
 
 
 def _uncover(body: Mask, deep: Index, corners: Index, neighbours: Index, cost: Array) -> None:
     """Free the tetrahedra of least cost that lead from free space to each of the points that lie deep in the body."""
-    border = body & np.where(neighbours >= 0, ~body[neighbours], True).any(axis=1)
+    at_border = body & np.where(neighbours >= 0, ~body[neighbours], True).any(axis=1)
     length, before, _ = dijkstra(
-        _links(body, neighbours, cost), indices=np.flatnonzero(border), return_predecessors=True, min_only=True
+        links(body, neighbours, cost), indices=np.flatnonzero(at_border), return_predecessors=True, min_only=True
     )
     cell, column = np.nonzero(np.isin(corners, deep))
     order = np.argsort(length[cell], kind="stable")
@@ -181,107 +180,6 @@ def _uncover(body: Mask, deep: Index, corners: Index, neighbours: Index, cost: A
         body[path] = False
         path = np.unique(before[path])
         path = path[path >= 0]
-
-
-def _links(chosen: Mask, neighbours: Index, cost: Array) -> coo_array:
-    """The steps between chosen tetrahedra, at the cost of the one that is entered."""
-    row, column = np.nonzero(neighbours >= 0)
-    other = neighbours[row, column]
-    both = chosen[row] & chosen[other]
-    return coo_array((cost[other[both]], (row[both], other[both])), shape=(len(chosen),) * 2)
-
-
-def _parts(chosen: Mask, neighbours: Index) -> Index:
-    """(t,) number of the connected part of each chosen tetrahedron; t for the others."""
-    links = _links(chosen, neighbours, np.ones(len(chosen)))
-    return np.where(chosen, connected_components(links, directed=False)[1], len(chosen))
-
-
-def _border(body: Mask, points: Array, corners: Index, neighbours: Index) -> tuple[Index, Index]:
-    """Faces (f, 3), outward, between the body and the rest, and the tetrahedra (f,) of the body that they belong to."""
-    outside = np.where(neighbours >= 0, ~body[neighbours], True)
-    owner, column = np.nonzero(body[:, None] & outside)
-    opposite = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-    faces = corners[owner[:, None], opposite[column]]
-    a, b, c = points[faces.T]
-    inwards = ((np.cross(b - a, c - a)) * (points[corners[owner, column]] - a)).sum(axis=1) > 0
-    faces[inwards] = faces[inwards, ::-1]
-    return faces, owner
-
-
-def _shared(faces: Index) -> Index:
-    """Edges (e, 2), rising, that belong to more than two faces (f, 3)."""
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1).astype(np.int64)
-    size = int(faces.max()) + 1
-    key, count = np.unique(ends[:, 0] * size + ends[:, 1], return_counts=True)
-    return np.stack(np.divmod(key[count > 2], size), axis=1)
-
-
-def _mend(body: Mask, wrong: Index, corners: Index, neighbours: Index, cost: Array, only_add: bool) -> None:
-    """Around each edge (e, 2) body and free space alternate more than once: the fan of least cost changes sides."""
-    size = int(corners.max()) + 1
-    at_edge = np.zeros(size, dtype=bool)
-    at_edge[wrong] = True
-    near = np.flatnonzero(at_edge[corners].sum(axis=1) >= 2)
-    ends = np.sort(corners[near][:, _EDGES], axis=2).astype(np.int64)
-    key = np.sort(wrong[:, 0] * size + wrong[:, 1])
-    sought = ends[..., 0] * size + ends[..., 1]
-    place = np.minimum(np.searchsorted(key, sought), len(key) - 1)
-    row, column = np.nonzero(key[place] == sought)
-    # tetrahedra at an edge, and their neighbours across the two faces that contain it
-    edge, cell = place[row, column].astype(np.int64), near[row]
-    count = len(corners)
-    order = np.argsort(edge * count + cell)
-    edge, cell, opposite = edge[order], cell[order], _EDGES[::-1][column[order]]
-    node = edge * count + cell
-    other = neighbours[cell[:, None], opposite]
-    beyond = edge[:, None] * count + other
-    found = np.minimum(np.searchsorted(node, beyond), len(node) - 1)
-    same = (node[found] == beyond) & (other >= 0) & (body[other] == body[cell][:, None])
-    start = np.nonzero(same)[0]
-    links = coo_array((np.ones(len(start), dtype=bool), (start, found[same])), shape=(len(node),) * 2)
-    fans, fan = connected_components(links, directed=False)
-    sizes, edge_of, inside = np.bincount(fan, cost[cell]), np.zeros(fans, dtype=np.int64), np.zeros(fans, dtype=bool)
-    edge_of[fan], inside[fan] = edge, body[cell]
-    sizes[inside] = np.inf if only_add else sizes[inside]
-    by_size = np.lexsort((sizes, edge_of))
-    smallest = np.zeros(fans, dtype=bool)
-    smallest[by_size[np.diff(edge_of[by_size], prepend=-1) > 0]] = True
-    change = smallest[fan]
-    body[cell[change]] = ~inside[fan][change]
-
-
-def _refined(vertices: Array, faces: Index, longest: float) -> tuple[Array, Index]:
-    """Vertices (n, 3) and faces (f, 3) of the same surface, without edges longer than that: they are halved."""
-    used, faces = without_unused(faces)
-    vertices = vertices[used]
-    while True:
-        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).astype(np.int64)
-        key, number = np.unique(edges[..., 0] * len(vertices) + edges[..., 1], return_inverse=True)
-        start, end = np.divmod(key, len(vertices))
-        halved = np.linalg.norm(vertices[end] - vertices[start], axis=1) > longest
-        if not halved.any():
-            return vertices, faces
-        middle = np.cumsum(halved) - 1 + len(vertices)
-        vertices = np.concatenate([vertices, (vertices[start] + vertices[end])[halved] / 2])
-        number = number.reshape(-1, 3)
-        # turn each face so that its first edges are the halved ones
-        split = halved[number]
-        count = split.sum(axis=1)
-        first = np.where(count == 1, split.argmax(axis=1), np.where(count == 2, (split.argmin(axis=1) + 1) % 3, 0))
-        turn = (first[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(faces, turn, axis=1).T
-        ab, bc, ca = middle[np.take_along_axis(number, turn, axis=1)].T
-        parts = [faces[count == 0]]
-        for k, triangles in enumerate(
-            (
-                ((a, ab, c), (ab, b, c)),
-                ((ab, b, bc), (a, ab, bc), (a, bc, c)),
-                ((a, ab, ca), (ab, b, bc), (bc, c, ca), (ab, bc, ca)),
-            )
-        ):
-            parts += [np.stack(triangle, axis=1)[count == k + 1] for triangle in triangles]
-        faces = np.concatenate(parts)
 
 
 def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, gap: float) -> NDArray[np.int8]:

@@ -1,0 +1,308 @@
+"""Closed surfaces through contacts that were made from anywhere: a minimum cut through tetrahedra between them.
+
+The contacts, thinned, and a box around them are the corners of Delaunay's tetrahedra.  Each tetrahedron is of the body or free.
+What is known of a tetrahedron costs where it is denied: rods that have passed through it, and contacts on the far side of which
+it lies.  Faces between the body and free space cost their area, and how far they are from those that Delaunay's tetrahedra of
+dense points have on a surface: the circumspheres on both of their sides then are large and flat there.  The labels of least
+cost are a minimum cut (Labatut, Pons, Keriven 2009).
+
+A tetrahedron that two rods pass deeper than contacts are apart is free whatever it costs.  One alone may be that of a wrong
+contact, and chords between contacts lie in free space less deep than that.
+
+Nothing depends on planes, axes or a grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+from scipy.spatial import Delaunay, cKDTree
+
+from scan3d.arrays import Array, Index, Mask, ratio
+from scan3d.errors import InputError
+from scan3d.geometry.distance import Search
+from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
+from scan3d.surfaces.tetrahedra import border, manifold, mend, parts, refined, shared
+
+KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
+"""Classes of the surface: touched near by; between touches; the rest, of which nothing is known."""
+TOUCHED, BETWEEN = 0.02, 0.03
+"""Largest distances from a contact at which a place is known, and at which it is estimated, in diagonals of the contacts' box.
+Contacts are places of the body: so neither is farther from it."""
+
+# Contacts are moved by this part of their spacing, so that no two of them are as far apart as a limit and no five on a sphere.
+_JOGGLE, _SEED = 1e-4, 0
+# The box leaves this part of the diagonal around the contacts.
+_MARGIN = 0.1
+# Contacts closer than this part of their spacing, or of the thinnest walls, are one corner.  Spacing is that of a lattice as
+# dense, of which random points are seldom so near; half the walls' thickness keeps the corners of both of their sides.
+_MERGED, _OF_WALLS = 0.35, 0.5
+# Neighbours that the spacing and the thickness of walls are taken from, and the share of contacts that may lie at thinner ones:
+# opposite sides of edges are no walls.
+_NEIGHBOURS, _THINNER = 16, 0.005
+# Contacts are on opposite sides of a wall if either lies within this angle's cosine of the other's direction into the body.
+_ACROSS = np.cos(np.radians(30.0))
+# Depths behind a contact, in distances of merged contacts, at which the body lies.
+_BEHIND = (0.4, 0.9)
+# Rods count in full where they pass deeper than this part of the merged contacts' distance.
+_DEEP = 0.25
+# Costs of a tetrahedron for each rod, and for each place behind a contact, and how many of them count.
+_PASSED, _TOUCHED_BEHIND, _COUNTED = 3.0, 6.0, 8
+# Costs of a face: of an area of a square of the spacing, and of the angles of its circumspheres.
+_AREA, _ANGLE = 0.5, 6.0
+# Costs are whole numbers, these parts of one; the cost of what is certain exceeds all that can be saved by it.
+_PARTS, _CERTAIN = 100, 10_000_000
+# Smaller parts of the volume are splinters between rods.
+_SPLINTER = 1e-3
+# Rounds in which edges of more than two faces are mended by what is cheaper, before tetrahedra are only added.
+_MENDED = 8
+# Several fans of faces at a contact are moved apart by this part of the merged contacts' distance.
+_APART = 0.02
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The surface of a body of any shape through its contacts, and what is known of it, in the contacts' unit."""
+
+    surface: Any
+    """A closed `trimesh.Trimesh`, outward; ``vertex_attributes["known"]``: 2 known, 1 estimated, 0 unknown."""
+    wrong: Mask
+    """(n,) contacts that free space forbids, or that lie inside the body: farther from the surface than contacts are apart."""
+    spacing: float
+    """Distance of neighbouring contacts."""
+
+
+def cut_surface(points: Array, inward: Array, lines: Array, free: Array | None = None) -> Cut:
+    """The closed surface that contacts and free space leave a body of any shape.
+
+    points (n, 3), inward (n, 3)
+        contacts, and unit vectors from them into the body.
+    lines (m, 2, 3)
+        segments that rods have passed.
+    free (k, 3)
+        further places that rods have passed.
+
+    Raises InputError for contacts that span no body.
+    """
+    import trimesh
+
+    middle = points.mean(axis=0)
+    thin = np.linalg.svd(points - middle, compute_uv=False)[-1] if len(points) > 3 else 0.0
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if thin < _JOGGLE * size * np.sqrt(len(points)):
+        raise InputError("the contacts lie in a plane, and span no body; touch it from more sides")
+    spacing, wall = _spacing(points, inward)
+    merged = min(_MERGED * spacing, _OF_WALLS * wall)
+    joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * spacing
+    corners = kept_apart(joggled, merged)
+    cells = _Cells.between(joggled[corners], _MARGIN * size)
+    cell, depth = cells.crossed(lines)
+    if free is not None:
+        inside = cells.at(free)
+        free, inside = free[inside >= 0], inside[inside >= 0]
+        cell, depth = np.append(cell, inside), np.append(depth, cells.depth(inside, free))
+    count = len(cells.corners)
+    passed = np.zeros(count) + np.bincount(cell, np.minimum(depth / (_DEEP * merged), 1.0), count)
+    behind = cells.at((joggled + merged * np.multiply.outer(_BEHIND, inward)).reshape(-1, 3))
+    touched = np.bincount(behind[behind >= 0], minlength=count)
+    empty = np.bincount(cell[depth > spacing], minlength=count) > 1
+    empty |= (cells.corners >= len(corners)).any(axis=1)
+    faces = _bounded(cells, passed, touched, empty, spacing)
+    vertices, faces = manifold(np.concatenate([points[corners], cells.points[len(corners) :]]), faces, _APART * merged)
+    vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")
+    surface.vertex_attributes["known"] = _classes(vertices, faces, points, inward, size)
+    triangles = vertices[faces]
+    triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
+    return Cut(surface, Search(triangles).nearest(points)[0] > spacing, spacing)
+
+
+def _spacing(points: Array, inward: Array) -> tuple[float, float]:
+    """The median distance of neighbouring contacts, and the thickness of the thinnest walls; infinite if none is seen."""
+    count = min(_NEIGHBOURS, len(points) - 1)
+    distance, other = cKDTree(points).query(points, count + 1)
+    distance, other = distance[:, 1:], other[:, 1:]
+    # of points as dense on a plane so many lie in a circle of this radius
+    spacing = float(np.median(distance[:, -1])) * np.sqrt(np.pi / count)
+    along = ratio(points[other] - points[:, None], distance[..., None])
+    opposite = (dot(along, inward[:, None]) > _ACROSS) & (-dot(along, inward[other]) > _ACROSS)
+    thickness = np.where(opposite, distance, np.inf).min(axis=1)
+    return spacing, float(np.partition(thickness, k := int(_THINNER * len(points)))[k])
+
+
+class _Cells(NamedTuple):
+    """Delaunay's tetrahedra (t,) between points (n, 3), the last eight of which are the corners of a box around the others."""
+
+    tree: Any
+    points: Array
+    corners: Index
+    """(t, 4)"""
+    neighbours: Index
+    """(t, 4) opposite each corner."""
+    gradients: Array
+    """(t, 4, 3) of the barycentric coordinates."""
+    offsets: Array
+    """(t, 4) the barycentric coordinates of the origin."""
+    heights: Array
+    """(t, 4) of the corners above the faces opposite."""
+
+    @classmethod
+    def between(cls, points: Array, margin: float) -> _Cells:
+        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+        box = low + (high - low) * np.array(list(np.ndindex(2, 2, 2)))
+        # no more than four corners of the box on a sphere
+        box += (
+            np.random.default_rng(_SEED).uniform(0, 1, box.shape) * _JOGGLE * margin * np.sign(box - (low + high) / 2)
+        )
+        points = np.concatenate([points, box])
+        tree = Delaunay(points)
+        corners = tree.simplices
+        first = points[corners[:, 0]]
+        a, b, c = (points[corners[:, k]] - first for k in (1, 2, 3))
+        normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        gradients = normals / dot(normals[:, 0], a)[:, None, None]
+        gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
+        offsets = -dot(gradients, first[:, None])
+        offsets[:, 0] += 1
+        heights = 1 / np.linalg.norm(gradients, axis=2)
+        return cls(tree, points, corners, tree.neighbors, gradients, offsets, heights)
+
+    def at(self, places: Array) -> Index:
+        """The tetrahedra (p,) that places (p, 3) lie in; -1 outside the box."""
+        return np.asarray(self.tree.find_simplex(places), dtype=np.int64)
+
+    def depth(self, cell: Index, places: Array) -> Array:
+        """Distances (p,) of places (p, 3) from the nearest face of the tetrahedra (p,) that they lie in."""
+        barycentric = dot(self.gradients[cell], places[:, None]) + self.offsets[cell]
+        return np.asarray((barycentric * self.heights[cell]).min(axis=1))
+
+    def crossed(self, lines: Array) -> tuple[Index, Array]:
+        """The tetrahedra (s,) that segments (m, 2, 3) cross, one after the other, and how deep (s,) the middle of each crossing
+        lies in its tetrahedron."""
+        start, along = self._in_box(lines)
+        cell = self.at(start)
+        row = np.flatnonzero(cell >= 0)
+        cell, before, place = cell[row], np.full(len(row), -1), np.zeros(len(row))
+        found: list[Index] = [np.empty(0, dtype=np.int64)]
+        depths = [np.empty(0)]
+        while len(row):
+            gradients = self.gradients[cell]
+            change = np.einsum("nkx,nx->nk", gradients, along[row])
+            value = np.einsum("nkx,nx->nk", gradients, start[row]) + self.offsets[cell]
+            beyond = self.neighbours[cell]
+            leave = np.where((change < 0) & (beyond != before[:, None]), ratio(-value, change), np.inf)
+            face = leave.argmin(axis=1)[:, None]
+            leave = np.maximum(np.take_along_axis(leave, face, axis=1)[:, 0], place)
+            middle = (place + np.minimum(leave, 1.0)) / 2
+            found.append(cell)
+            depths.append(((value + middle[:, None] * change) * self.heights[cell]).min(axis=1))
+            after = np.take_along_axis(beyond, face, axis=1)[:, 0]
+            on = (leave < 1) & (after >= 0)
+            row, before, cell, place = row[on], cell[on], after[on], leave[on]
+        return np.concatenate(found), np.concatenate(depths)
+
+    def _in_box(self, lines: Array) -> tuple[Array, Array]:
+        """Starts and differences (k, 3) of the parts of segments (m, 2, 3) in the box."""
+        low, high = self.points[-8:].min(axis=0), self.points[-8:].max(axis=0)
+        inner = _JOGGLE * (high - low)
+        start, along = lines[:, 0], lines[:, 1] - lines[:, 0]
+        ends = np.sort([ratio(low + inner - start, along), ratio(high - inner - start, along)], axis=0)
+        between = (start > low + inner) & (start < high - inner)
+        ends = np.where(along == 0, np.where(between, [[[-np.inf]], [[np.inf]]], np.nan), ends)
+        enter, leave = ends[0].max(axis=1).clip(min=0), ends[1].min(axis=1).clip(max=1)
+        some = enter < leave
+        start, along, enter, leave = start[some], along[some], enter[some, None], leave[some, None]
+        return start + enter * along, (leave - enter) * along
+
+
+def _bounded(cells: _Cells, passed: Array, touched: Index, empty: Mask, spacing: float) -> Index:
+    """Faces (f, 3), outward, of the body of least cost; every edge belongs to two of them.
+
+    passed, touched (t,)
+        how often rods passed the tetrahedra, and how many places behind contacts lie in them.
+    empty (t,)
+        those that are free for certain.
+    """
+    neighbours = cells.neighbours
+    row, column = np.nonzero(neighbours >= 0)
+    other = neighbours[row, column]
+    heights = cells.heights
+    edges = cells.points[cells.corners[:, 1:]] - cells.points[cells.corners[:, :1]]
+    volume = np.abs(np.linalg.det(edges)) / 6
+    # circumcentres, from the first corner
+    centre = np.einsum("tk,tkx->tx", dot(edges, edges) / 2, cells.gradients[:, 1:])
+    above = dot(cells.gradients, centre[:, None])
+    above[:, 0] += 1
+    flat = above * heights / np.linalg.norm(centre, axis=1)[:, None]
+    back = (neighbours[other] == row[:, None]).argmax(axis=1)
+    area = 3 * volume[row] / heights[row, column]
+    face = _AREA * area / spacing**2 + _ANGLE * (1 - np.minimum(flat[row, column], flat[other, back]))
+    # of both sides of a face, which rounding may tell apart
+    first = row < other
+    cost = np.empty(neighbours.shape)
+    cost[row[first], column[first]] = cost[other[first], back[first]] = face[first]
+    free = np.where(empty, _CERTAIN, _PASSED * np.minimum(passed, _COUNTED))
+    body = _least(row, other, cost[row, column], free, _TOUCHED_BEHIND * np.minimum(touched, _COUNTED))
+    # free space comes from outside, and the body has no splinters in it
+    part = parts(~body, neighbours)
+    outside = np.zeros(len(body) + 1, dtype=bool)
+    outside[part[~body & (neighbours < 0).any(axis=1)]] = True
+    body |= ~outside[part]
+    part = parts(body, neighbours)
+    sizes = np.bincount(part[body], volume[body], minlength=len(body) + 1)
+    body &= sizes[part] >= _SPLINTER * sizes.sum()
+    if not body.any():
+        raise InputError("the contacts span no body that the rods have left free; touch it more densely")
+    for rounds in range(len(body)):
+        faces, _ = border(body, cells.points, cells.corners, neighbours)
+        wrong = shared(faces)
+        if not len(wrong):
+            break
+        # the smaller side of edges with more than two faces changes first; later tetrahedra are only added
+        mend(body, wrong, cells.corners, neighbours, volume, only_add=rounds >= _MENDED)
+    return faces
+
+
+def _least(row: Index, other: Index, face: Array, free: Array, body: Array) -> Mask:
+    """(t,) which tetrahedra are of the body at the least cost: a minimum cut.
+
+    row, other, face (f,)
+        pairs of tetrahedra, either way, and the costs of the faces between them.
+    free, body (t,)
+        costs of those that are free and are called body, and the reverse.
+    """
+    count = len(free)
+    every = np.arange(count)
+    start = np.concatenate([row, np.full(count, count), every])
+    end = np.concatenate([other, every, np.full(count, count + 1)])
+    capacity = np.minimum(np.rint(_PARTS * np.concatenate([face, body, free])), _CERTAIN).astype(np.int32)
+    graph = csr_array((capacity, (start, end)), shape=(count + 2,) * 2)
+    left = graph - maximum_flow(graph, count, count + 1).flow
+    left.data[left.data < 0] = 0
+    left.eliminate_zeros()
+    chosen = np.zeros(count + 2, dtype=bool)
+    # the smallest of all cuts, which is the same whatever the flow
+    chosen[breadth_first_order(left, count, return_predecessors=False)] = True
+    return chosen[:count]
+
+
+def _classes(vertices: Array, faces: Index, points: Array, inward: Array, size: float) -> NDArray[np.int8]:
+    """(n,) class of vertices (n, 3) of the surface: by the nearest contact that does not touch it from behind."""
+    triangles = vertices[faces]
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], spanned(triangles))
+    count = min(_NEIGHBOURS, len(points))
+    distance, other = cKDTree(points).query(vertices, count, distance_upper_bound=BETWEEN * size)
+    found = np.isfinite(distance)
+    behind = dot(inward[np.where(found, other, 0)], normals[:, None]) > 0
+    behind[distance == 0] = False
+    nearest = np.where(found & ~behind, distance, np.inf).min(axis=1)
+    known = np.where(nearest <= TOUCHED * size, KNOWN, np.where(nearest <= BETWEEN * size, ESTIMATED, UNKNOWN))
+    return known.astype(np.int8)

@@ -1,0 +1,124 @@
+"""Surfaces by a minimum cut, through contacts of straight lines with bodies that a function describes, negative inside."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from scan3d.errors import InputError
+from scan3d.surfaces.cut import BETWEEN, TOUCHED, cut_surface
+
+
+def torus(points):
+    """Distance (...) from a ring of radius 3 whose tube has the radius 1.2."""
+    return np.hypot(np.hypot(points[..., 0], points[..., 1]) - 3, points[..., 2]) - 1.2
+
+
+def shell(points):
+    """Distance (...) from the lower half of a hollow ball of radius 3 to 3.3, a bowl."""
+    radius = np.linalg.norm(points, axis=-1)
+    return np.maximum(np.abs(radius - 3.15) - 0.15, points[..., 2])
+
+
+def two_balls(points):
+    """Distance (...) from two balls that overlap."""
+    return np.minimum(*(np.linalg.norm(points - [x, 0, 0], axis=-1) - 2 for x in (-1.6, 1.6)))
+
+
+BODIES = {"torus": (torus, 0), "shell": (shell, 2), "two balls": (two_balls, 2)}
+
+
+@functools.cache
+def probed(name, count=8000, seed=0):
+    """Contacts (n, 3), directions (n, 3) and lines (m, 2, 3) of lines drawn at random, which end at the body."""
+    random = np.random.default_rng(seed)
+    along, start, rest = random.normal(size=(3, count, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    start = 4.5 * np.cbrt(random.uniform(size=(count, 1))) * start / np.linalg.norm(start, axis=1, keepdims=True)
+    start -= (start * along).sum(axis=1, keepdims=True) * along + 6 * along
+    inside = BODIES[name][0]
+    steps = np.linspace(0, 12, 400)
+    within = inside(start[:, None] + steps[:, None] * along[:, None]) < 0
+    hit, first = within.any(axis=1), within.argmax(axis=1)
+    low, high = steps[first - 1], steps[first]
+    for _ in range(50):
+        middle = (low + high) / 2
+        outside = inside(start + middle[:, None] * along) > 0
+        low, high = np.where(outside, middle, low), np.where(outside, high, middle)
+    end = start + np.where(hit, low, 12.0)[:, None] * along
+    return end[hit], along[hit], np.stack([start, end], axis=1)
+
+
+@functools.cache
+def surface_of(name):
+    return cut_surface(*probed(name))
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_surface_is_closed_and_near_the_body(name):
+    inside, euler = BODIES[name]
+    found = surface_of(name)
+    surface = found.surface
+    assert surface.is_watertight
+    assert surface.is_winding_consistent
+    assert surface.volume > 0
+    assert surface.euler_number == euler
+    size = np.linalg.norm(np.ptp(probed(name)[0], axis=0))
+    known = surface.vertex_attributes["known"]
+    off = np.abs(inside(surface.vertices))
+    assert off[known > 0].max() < BETWEEN * size
+    assert off[known == 2].max() < TOUCHED * size
+    assert (known == 2).mean() > 0.9
+    assert off.mean() < 0.004 * size
+    assert not found.wrong.mean() > 0.01
+
+
+@pytest.mark.parametrize("name", ["torus", "two balls"])
+def test_free_places_count_as_lines_do(name):
+    points, along, lines = probed(name)
+    share = np.linspace(0, 0.999, 120)[:, None, None]
+    places = (lines[:, 0] + share * (lines[:, 1] - lines[:, 0])).reshape(-1, 3)
+    surface = cut_surface(points, along, lines[:0], places).surface
+    assert surface.euler_number == BODIES[name][1]
+    assert surface.volume == pytest.approx(surface_of(name).surface.volume, rel=0.02)
+
+
+def test_a_hole_that_no_rod_has_passed_is_unknown():
+    points, along, lines = probed("torus")
+    places = lines[:, :1] + np.linspace(0, 1, 200)[:, None] * (lines[:, 1:] - lines[:, :1])
+    through = (np.hypot(places[..., 0], places[..., 1]) < 2.0) & (np.abs(places[..., 2]) < 1.2)
+    lines = lines[~through.any(axis=1)]
+    touched = np.isin(points, lines[:, 1]).all(axis=1)
+    surface = cut_surface(points[touched], along[touched], lines).surface
+    assert surface.is_watertight
+    assert surface.euler_number == 2
+    radius = np.hypot(*surface.vertices[:, :2].T)
+    known = surface.vertex_attributes["known"]
+    assert (known[radius < 1] == 0).all()
+    assert (radius < 1).any()
+    assert (known[radius > 3] > 0).all()
+
+
+def test_the_last_digit_decides_nothing():
+    points, along, lines = probed("two balls")
+    moved = cut_surface(points * (1 + 1e-14), along, lines * (1 + 1e-14)).surface
+    assert np.array_equal(moved.faces, surface_of("two balls").surface.faces)
+
+
+def test_wrong_contacts_are_found_and_cost_little():
+    points, along, lines = probed("two balls")
+    random = np.random.default_rng(1)
+    chosen = random.choice(len(points), len(points) // 100, replace=False)
+    points = points.copy()
+    size = np.linalg.norm(np.ptp(points, axis=0))
+    # stopped before they touch
+    points[chosen] -= 0.05 * size * along[chosen]
+    found = cut_surface(points, along, lines)
+    assert found.wrong[chosen].mean() > 0.9
+    assert np.abs(two_balls(found.surface.vertices)).max() < 0.02 * size
+
+
+def test_contacts_in_a_plane_span_no_body():
+    points, along, lines = probed("torus")
+    with pytest.raises(InputError, match="in a plane"):
+        cut_surface(points * [1, 1, 0], along, lines)
