@@ -238,17 +238,18 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
 
 
-def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
-    """The number of steps: more and more until two runs agree on some rows, those of the largest `size` (n,) among them.
+def enough_steps(march: Callable[[Index, int], Array], size: Array, steps: int = STEPS) -> int:
+    """The number of steps, at least so many: more and more until two runs agree on some rows, those of the largest `size` (n,)
+    among them.
 
     `march` gives places of rows by a number of steps.
     """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
     # some rows of all sizes tell how many steps are enough
     rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), 32).astype(np.intp))] if len(order) else order
-    steps, last = STEPS, march(rows, STEPS)
+    last = march(rows, steps)
     while steps < 256:
-        more = round(1.5 * steps)
+        more = max(round(1.5 * steps), steps + 1)
         finer = march(rows, more)
         if not ((np.abs(finer - last) > 1e-10) | (np.isnan(finer) != np.isnan(last))).any():
             break

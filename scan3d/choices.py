@@ -15,6 +15,9 @@ MODELS: tuple[str, ...] = get_args(Model)
 Spacing = Literal["adaptive", "cosine", "uniform"]
 SPACINGS: tuple[str, ...] = get_args(Spacing)
 """Rules for the heights of the slices."""
+Probing = Literal["auto", "off", "only"]
+PROBINGS: tuple[str, ...] = get_args(Probing)
+"""Whether the rod is sent along itself as well: of bodies that are not convex, of none, or in the place of all sweeps."""
 Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting"]
 METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes

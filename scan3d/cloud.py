@@ -37,6 +37,8 @@ class NormalSource(IntEnum):
     """Perpendicular to the rod, with all contacts on one side: the middle of the angles that this leaves (spatial model)."""
     FACET = 8
     """The facet of a polyhedron that several slices show, or those that meet at the contact."""
+    SURFACE = 9
+    """The surface through all contacts, at the contact of a probing, which by itself has no normal."""
 
 
 class Tilt(NamedTuple):
@@ -127,6 +129,9 @@ class Cloud(Shown, Exported):
     unresolved: NDArray[np.bool_] | None = None
     """(s,) whether a slice without contact may not be empty: forces stand out from the noise, or the rods did not sweep all
     places that the body may reach there.  None: there is no such slice."""
+    probed: NDArray[np.bool_] | None = None
+    """(n,) whether the contact is that of a probing, whose rod moves along itself (`reconstruction.probings`): it has no slice,
+    which is -1.  None: there is none."""
     light: int = 0
     """Number of contacts left out because the rod touched too lightly for the noise."""
     convex: bool = True
@@ -217,6 +222,10 @@ class Cloud(Shown, Exported):
     def __len__(self) -> int:
         return len(self.points)
 
+    def swept(self) -> Cloud:
+        """The contacts that are not those of probings."""
+        return self if self.probed is None else replace(self.select(~self.probed), probed=None)
+
     def select(self, rows: Mask | Index) -> Cloud:
         """A cloud of some of the contacts, selected by (n,) booleans or by indices; slices, fit and settings stay the same."""
         columns = {name: getattr(self, name) for name in PER_CONTACT}
@@ -251,6 +260,6 @@ class Cloud(Shown, Exported):
 
 PER_CONTACT = (
     "points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row", "force_N", "friction",
-    "recovered", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents", "tangent_sd",
-    "bending_angle", "slip_to_path",
+    "recovered", "probed", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents",
+    "tangent_sd", "bending_angle", "slip_to_path",
 )  # fmt: skip

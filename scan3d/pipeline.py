@@ -39,6 +39,7 @@ from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
 from scan3d.surfaces.carved import carved
+from scan3d.surfaces.explored import explored, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 
@@ -214,13 +215,16 @@ def analyse(
     found = reached = None
     with clock("surface"):
         if not cloud.convex:
-            found = carved(*as_measured(recording, cloud))
+            make = carved if cloud.probed is None else explored
+            found = make(*as_measured(recording, cloud))
             mesh = found.surface if method == "auto" else surface(cloud, method)
         else:
             # a hull is only taken as proven where the recording agrees with the model
             known = replace(bounds, bound=np.inf) if warnings else bounds
             mesh = surface(cloud, method, bounds=known)
         mesh.units = cloud.unit
+    if found is not None and cloud.probed is not None:
+        cloud = with_surface_normals(cloud, found.surface)
     made(cloud, mesh)
     with clock("certificate"):
         if warnings or found is not None:

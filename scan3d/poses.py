@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.rigs import axes_of, check_columns, check_orientations
 from scan3d.rods import Rod
 
 SPEED_M_S = 0.02
 """Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
+AWAY = 0.05
+"""How far a clamp stays away from the hull of a body that is probed, in rod lengths."""
 TABLE = 0.0
 """Height z, in metres, of the table on which bodies stand for which poses are planned."""
 
@@ -32,10 +34,17 @@ class Move(IntEnum):
     APPROACH = 0
     SWEEP = 1
     RETRACT = 2
+    PROBE = 3
+    """In the place of a sweep: along its own y axis, until a force is felt, or to the last pose of the kind."""
 
 
 MOVES = tuple(move.name.lower() for move in Move)
 """Their names in files."""
+
+
+def measures(move: NDArray[Any]) -> Mask:
+    """(n,) moves in which something is measured: sweeps and probings."""
+    return (move == Move.SWEEP) | (move == Move.PROBE)
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,18 +89,22 @@ class PoseList:
         if (count > 1).any():
             raise InputError(f"poses: the rows of sweep {numbers[np.argmax(count > 1)]} do not stand together")
         within = np.diff(self.sweep) == 0
-        back = within & (np.diff(self.move.astype(int)) < 0)
+        # approach, sweep or probing, retract
+        back = within & (np.diff(np.array([0, 1, 2, 1])[self.move]) < 0)
+        mixed = within & measures(self.move)[:-1] & measures(self.move)[1:] & (np.diff(self.move) != 0)
+        if mixed.any():
+            raise InputError(f"poses: row {int(np.argmax(mixed)) + 2} is of another move than the sweep that it is in")
         if back.any():
             raise InputError(
                 f"poses: row {int(np.argmax(back)) + 2} is out of order; each sweep has approach, sweep and retract "
                 "in turn"
             )
-        of_sweep = np.searchsorted(first, np.flatnonzero(self.move == Move.SWEEP), side="right") - 1
+        of_sweep = np.searchsorted(first, np.flatnonzero(measures(self.move)), side="right") - 1
         samples = np.bincount(of_sweep, minlength=len(first))
         if (samples < 2).any():
             raise InputError(
                 f"poses: sweep {self.sweep[first[np.argmax(samples < 2)]]} has {samples.min()} rows of the move "
-                "sweep, where at least two are needed"
+                "sweep or probe, where at least two are needed"
             )
 
     def __len__(self) -> int:
@@ -105,8 +118,8 @@ class PoseList:
         return axes_of(self.quaternion)
 
     def sweeps(self) -> list[Index]:
-        """The rows of the move sweep of every sweep, in order."""
-        rows = np.flatnonzero(self.move == Move.SWEEP)
+        """The rows of the move sweep, or probe, of every sweep, in order."""
+        rows = np.flatnonzero(measures(self.move))
         return np.split(rows, np.flatnonzero(np.diff(self.sweep[rows])) + 1)
 
     def times(self) -> Array:

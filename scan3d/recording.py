@@ -193,6 +193,20 @@ class Recording(Shown):
         """Whether it is stated that the body is not convex."""
         return self.source.get("convex") is False
 
+    @cached_property
+    def in_probings(self) -> Mask:
+        """(n,) rows of probings: sweeps in which the clamp moves more along its own y axis than across it."""
+        order = np.argsort(self.sweep, kind="stable")
+        first = np.flatnonzero(np.diff(self.sweep[order], prepend=self.sweep[order[0]] - 1))
+        last = np.append(first[1:], len(order)) - 1
+        moved = self.position_m[order[last]] - self.position_m[order[first]]
+        moved = np.einsum("nij,nj->ni", axes_of(self.quaternion[order[first]]), moved)
+        # a clamp that stays where it is does neither
+        along = moved[:, 1] > np.hypot(moved[:, 0], moved[:, 2])
+        found = np.empty(len(order), dtype=bool)
+        found[order] = np.repeat(along, last - first + 1)
+        return found
+
     def wrench(self) -> tuple[Array, Array]:
         """(n, 3) support reaction and (n, 3) clamping moment in the clamp's frame.  Raises InputError unless all are known."""
         if self.force_z_N is None or self.moment_x_Nm is None or self.moment_y_Nm is None:

@@ -152,6 +152,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
         "empty_slices": len(cloud.slice_height) - slices,
         "unproven_slices": 0 if cloud.unresolved is None else int(cloud.unresolved.sum()),
         "sweeps": len(np.unique(recording.sweep)),
+        **({} if cloud.probed is None else {"probings": len(np.unique(recording.sweep[recording.in_probings]))}),
         "samples": len(recording),
         "contacts": len(cloud),
         "tangential": int((cloud.phase == planar.Phase.TANGENTIAL).sum()),
@@ -412,13 +413,18 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     """The most important numbers of a report: a heading, and the name and value of each quantity."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
     where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
-    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
-    rows = _filled(data)
+    probings, rows = counts.get("probings", 0), _filled(data)
+    sweeps = f"{counts['sweeps'] - probings} sweeps in {where}" if counts["sweeps"] > probings else ""
+    sweeps = " and ".join(filter(None, [sweeps, f"{probings} probings" if probings else ""]))
+    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {sweeps}"
+    if probings:
+        rows.append(("contacts", heading))
+        heading = touched(data["coverage"], data["certificate"]["unit"])
     of_hull = f" from the {HULL_OF_MESH}" if rows else ""
     if errors:
         rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
-    if data.get("model") != "spatial" and swept < most:
+    if data.get("model") != "spatial" and swept < most and not probings:
         slices = f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
         rows.append(("slices", slices))
     median = data["friction"]["estimated_median"]
@@ -470,7 +476,14 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         if bound is not None and np.isfinite(bound):
             contours = f"outer contours within {length(bound, certified['unit'], up=True)}"
         between = "between them nothing, because the body is not convex"
-        rows.append(("certified", f"{contours} in the planes of the slices; {between}"))
+        if certified["bound"] is not None and np.isfinite(certified["bound"]):
+            rows.append(("certified", f"within {length(certified['bound'], certified['unit'], up=True)}, by the reach"))
+        elif probings:
+            rows.append(
+                ("certified", "nothing, because the body is not convex; --reach states how fine its features are")
+            )
+        else:
+            rows.append(("certified", f"{contours} in the planes of the slices; {between}"))
         rows += _premise_rows(certified)
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = length(certified["bound"], certified["unit"], up=True)
@@ -505,16 +518,29 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
     rows = [("second contacts", f"{left_out} samples left out, whose rod touched at another place as well")]
     if hidden:
         rows.append(("hidden", f"{hidden} contacts are wrong because a second one stayed hidden"))
-    unknown = coverage["unknown"]
-    if "known" in coverage:
+    if "known" in coverage and not counts.get("probings"):
         shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"
-        where = "nothing unknown"
-        if unknown:
-            (wide, *place), unit = lengths([unknown[0]["extent"], *unknown[0]["center"]], data["certificate"]["unit"])
-            left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
-            where = f"{left} unknown, in {len(unknown)} patches, the largest {wide} {unit} wide at ({', '.join(place)})"
-        rows.append(("surface known", f"{shares}, {where}"))
+        rows.append(("surface known", f"{shares}, {_unknown(coverage, data['certificate']['unit'])}"))
     return rows
+
+
+def touched(coverage: Mapping[str, Any], unit: str) -> str:
+    """How much of the surface of a body was touched, and what remains, where and why."""
+    estimated = f", {share(coverage['estimated'])} estimated" if coverage["estimated"] else ""
+    known = np.floor(1000 * coverage["known"]) / 10  # never more than it is
+    return f"{known:g} % of the surface touched{estimated}, {_unknown(coverage, unit)}"
+
+
+def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
+    """What is unknown of the surface, in words."""
+    unknown = coverage["unknown"]
+    if not unknown:
+        return "nothing unknown"
+    (wide, *place), symbol = lengths([unknown[0]["extent"], *unknown[0]["center"]], unit)
+    left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
+    where = f"in {len(unknown)} patches, the largest {wide} {symbol} wide at ({', '.join(place)})"
+    reason = unknown[0].get("reason")
+    return f"{left} unknown, {where}" + (f": {reason}" if reason else "")
 
 
 def _premise_rows(certified: Mapping[str, Any]) -> Rows:

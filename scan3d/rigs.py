@@ -326,6 +326,24 @@ class RigErrors:
         names = [field.name for field in fields(self) if field.name not in ("count", "relative")]
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
+    @staticmethod
+    def joined(parts: Sequence[RigErrors | None], counts: Sequence[int]) -> RigErrors:
+        """Those of several groups of contacts, of so many each, by the same calibration; None where it does nothing to them."""
+        known = next(part for part in parts if part is not None)
+        columns: dict[str, Any] = {
+            field.name: np.concatenate(
+                [
+                    np.zeros((count, *getattr(known, field.name).shape[1:]))
+                    if part is None
+                    else getattr(part, field.name)
+                    for part, count in zip(parts, counts, strict=True)
+                ]
+            )
+            for field in fields(known)
+            if field.name not in ("count", "relative")
+        }
+        return replace(known, **columns)
+
     def factor(self, alpha: float) -> float:
         """The number of standard deviations that all contacts stay within at once, but for the probability `alpha`.
 

@@ -12,24 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scan3d.bounds import Certificate, Gap
+from scan3d.bounds.free_space import passed_lines
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import distance_from_hull
-from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
-from scan3d.planning.plan import Plan, aimed_line, aims, further_directions, open_places
+from scan3d.planning.plan import Plan, further_directions, open_places
 from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE
+from scan3d.reconstruction.contacts import into_body
 from scan3d.reconstruction.slices import stacks
 from scan3d.recording import Recording, joined
-from scan3d.report import Analysis
+from scan3d.report import Analysis, touched
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
-from scan3d.units import length, share
+from scan3d.units import UNITS_M, length, share
 
 if TYPE_CHECKING:
     import trimesh
@@ -82,10 +83,23 @@ class Session(Described):
         if self.relative_bound <= self.tolerance:
             return None
         self._check_around()
+        if not self.cloud.convex:
+            return self._probings(max(1, sweeps // rig.SIDES))
         chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
-        if not chosen:
-            return None
-        return rig.pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1)
+        return self._numbered(chosen)
+
+    def _numbered(self, chosen: list[rig.Sweep]) -> PoseList | None:
+        """The poses of sweeps that follow those so far."""
+        return rig.pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1) if chosen else None
+
+    def _probings(self, planes: int) -> PoseList | None:
+        """Probings in so many planes, where most is unknown of a body that is not convex; None if nothing is left to gain."""
+        recording, cloud, space = self.recording, self.cloud, self.plan.space()
+        unknown = rig.unknown(space, cloud.points, [self._seed, len(self._recordings)])
+        unknown.add(cloud.points, into_body(recording, cloud), passed_lines(recording, cloud))
+        along, scale = recording.in_probings, UNITS_M[recording.unit]
+        unknown.aimed(recording.position_m[along] / scale, recording.axes()[along])
+        return self._numbered(rig.probings(unknown.next_round(planes).moves, space))
 
     def planned(self) -> PoseList:
         """The poses of the first batch."""
@@ -150,6 +164,8 @@ class Session(Described):
     def known(self) -> str:
         """What is certified so far, in words."""
         found, unit = self._known, self.plan.unit
+        if found.carved is not None and found.cloud.probed is not None:
+            return touched(found.carved.coverage, unit)
         if found.carved is not None:
             contours = f"the outer contours are known within {length(found.carved.contours_bound, unit, up=True)}"
             return f"{contours} in the planes of the slices; between them nothing is, because the body is not convex"
@@ -197,30 +213,15 @@ class Session(Described):
             )
 
     def _further_slices(self, sweeps: int) -> list[rig.Sweep]:
-        """Sweeps of new slices, and of slices that their contacts leave open.
-
-        Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
-        """
+        """Sweeps of new slices, and of slices that their contacts leave open."""
         plan, space, cloud = self.plan, self.plan.space(), self.cloud
         by_axis = stacks(cloud.fattened or cloud)
         frames, count = [stack.frame for stack in by_axis], max(1, sweeps // rig.SIDES // len(by_axis))
-        at_stretches: list[rig.Sweep] = []
         chosen = self._open_directions(sweeps)
-        if not cloud.convex:
-            for aim in aims(self.recording, cloud)[:sweeps]:
-                frame = slice_frame(aim.axis)
-                line = aimed_line(aim, rig.outline_in(plan, space, frame), space.length, space.clearance)
-                at_stretches.append(rig.slice_sweep(plan, space, aim.angle, aim.height, line, frame))
-        for k, stack in enumerate(by_axis):
-            if cloud.convex:
-                # as finely as slabs will be divided in the end
-                axis, of = frames[k][2], cloud.fattened or cloud
-                heights = next_heights(of, Plan(), axis=axis, left=3 * count, count=count)
-            else:
-                known = stack.heights
-                most = (sweeps - len(at_stretches)) // rig.SIDES // len(by_axis)
-                between = np.argsort(-np.diff(known), kind="stable")[:most]
-                heights = (known[between] + known[between + 1]) / 2
+        for k, _ in enumerate(by_axis):
+            # as finely as slabs will be divided in the end
+            axis, of = frames[k][2], cloud.fattened or cloud
+            heights = next_heights(of, Plan(), axis=axis, left=3 * count, count=count)
             along = space.points @ frames[k][2]
             chosen += [
                 (k, float(angle), float(z))
@@ -229,7 +230,7 @@ class Session(Described):
                 for angle in 2 * np.pi * np.arange(rig.SIDES) / rig.SIDES
             ]
         found = [rig.slice_sweep(plan, space, angle, z, frame=frames[k]) for k, angle, z in sorted(chosen)]
-        return rig.above_floor(at_stretches + found, space)
+        return rig.above_floor(found, space)
 
     def _open_directions(self, sweeps: int) -> list[tuple[int, float, float]]:
         """At most `sweeps` directions and heights, each with the number of its stack of slices, that close what the contacts

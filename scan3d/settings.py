@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
-from scan3d.choices import METHODS, Method, Model, Spacing, one_of
+from scan3d.choices import METHODS, Method, Model, Probing, Spacing, one_of
 from scan3d.errors import InputError, UsageError
 from scan3d.files.text import did_you_mean, read_section, to_float
 from scan3d.rods import parse_rod
@@ -63,6 +63,13 @@ class Settings:
         "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it "
         "takes",
     )
+    probing: Probing = _setting(
+        "auto",
+        "also move the rod along itself until it touches: auto on bodies that are not convex, after an eighth of the "
+        "slices, in at most twice as many planes as slices; off; or only",
+    )
+    known: float = _setting(0.0, "share of the surface with a contact nearby at which probing ends; 0: nothing is left")
+    stop_force: str = _setting("auto", "force that ends a probing, in EI/L² such as 0.01, or with a unit such as 2mN")
     noise: float = _setting(0.0, "standard deviation of force and moment, in EI/L² and EI/L")
     seed: int = _setting(0, "seed of the random numbers; the same seed gives the same files")
     unit: Unit = _setting("mm", "unit of the mesh's coordinates")
@@ -98,6 +105,9 @@ class Settings:
             clearance=self.clearance,
             tolerance=self.tolerance,
             rod=parse_rod(self.rod),
+            probing=self.probing,
+            known=self.known,
+            stop_force=self.stop_force,
             noise=self.noise,
             seed=self.seed,
             unit=self.unit,
@@ -117,6 +127,9 @@ class Given(TypedDict, total=False):
     rod: str
     clearance: float
     tolerance: float
+    probing: Probing
+    known: float
+    stop_force: float | str
     noise: float
     seed: int
     unit: Unit

@@ -215,7 +215,7 @@ GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
         ("HEAD" + GOOD + "0,1,2\n", "p.csv: line 4 has 3 values, expected 9; it ends in column 3: is it cut off"),
         (
             "HEAD" + GOOD.replace("sweep\n", "fly\n", 1),
-            "line 2 has 'fly' in column 'move', where one of approach, sweep, retract is expected",
+            "line 2 has 'fly' in column 'move', where one of approach, sweep, retract, probe is expected",
         ),
         ("HEAD" + GOOD + "1,0,0,0,1,0,0,0,sweep\n", "sweep 1 has 1 rows of the move sweep"),
     ],

@@ -52,9 +52,11 @@ from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
+from scan3d.reconstruction.contacts import with_rows
 from scan3d.reconstruction.errors import felt
+from scan3d.reconstruction.probings import free_lines
 from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
-from scan3d.recording import Recording
+from scan3d.recording import Recording, of_rows
 from scan3d.units import UNITS_M, length
 
 # Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
@@ -212,6 +214,7 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     lines = planar.elastic_lines(zero, fx, fy, np.where(is_felt, recording.moment_Nm / rod.moment_unit_Nm, 0.0), 40)
     line = np.concatenate([lines.curved, lines.straight[:, 1:]], axis=1) * cloud.rod_length
     known &= np.isfinite(line).all(axis=(1, 2))
+    line[~known] = np.nan
     axes, clamp = recording.axes(), recording.position_m / unit
     end = clamp + np.einsum("ni,nij->nj", np.nan_to_num(line[:, -1]), axes[:, :2])
     on = np.zeros(len(known), dtype=bool)
@@ -226,6 +229,18 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     centre = cloud.points.mean(axis=0) * unit
     number = planes(recording, axes[:, 2], centre, recording.noise.place_m).number
     return _Rods(clamp, axes[:, :2], line, number, on, np.where(np.isnan(bulge), alone, bulge))
+
+
+def passed_lines(recording: Recording, cloud: Cloud) -> Array:
+    """(m, 2, 3) lines, in the cloud's unit, that rods of sweeps and of probings lay along; none of rods of unknown shape."""
+    lines, swept = free_lines(recording, cloud), cloud.swept()
+    if not len(swept) or not recording.rod.is_simple:
+        return lines
+    number = np.flatnonzero(~recording.in_probings)
+    rods = rods_of(of_rows(recording, number), with_rows(swept, number))
+    places = rods.clamp[:, None] + np.einsum("nki,nij->nkj", rods.line, rods.axes)
+    parts = np.stack([places[:, :-1], places[:, 1:]], axis=2).reshape(-1, 2, 3)
+    return np.concatenate([lines, parts[np.isfinite(parts).all(axis=(1, 2))]])
 
 
 def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float, beyond: float) -> Sheets:

@@ -74,6 +74,7 @@ def plan(
     around: Body,
     out: File,
     model: Model = "planar",
+    probing: Flag = False,
     slices: Number = 32,
     sweeps: Number | None = None,
     rod: str = "auto",
@@ -87,7 +88,7 @@ def plan(
     For example:
       scan3d plan --around cylinder:80x120 --out poses.csv
       scan3d plan --around box:60x40x30 --out poses.csv --model spatial --rod steel:0.3x70 --max-force 0.5
-      scan3d plan --around sphere:50 --out poses.csv --speed 10
+      scan3d plan --around cylinder:100x100 --out poses.csv --probing --speed 10
 
     Parameters
     ----------
@@ -97,6 +98,8 @@ def plan(
         the poses, a .csv; a .toml is written as well
     model
         model of contact
+    probing
+        moves along the rod until it touches, in the place of sweeps: for a body that is not convex
     slices
         number of slices
     sweeps
@@ -116,6 +119,7 @@ def plan(
         chosen = RigPlan(
             around=parse_envelope(around),
             model=model,
+            probing=probing,
             slices=slices,
             sweeps=sweeps,
             rod=parse_rod(rod),
@@ -223,7 +227,9 @@ def further(
 
 def refuse_settings_of_scans(given: dict[str, Any]) -> None:
     """Raises UsageError for settings that have no effect where a list of poses says where the clamp goes."""
-    of_scans = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
+    of_scans = (
+        "slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "probing", "known", "noise", "method"
+    )  # fmt: skip
     if wrong := [name for name in of_scans if name in given]:
         instead = "noise belongs into --faults" if wrong == ["noise"] else "give it to scan3d plan, or leave it out"
         raise UsageError(f"--{wrong[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
@@ -276,6 +282,7 @@ def simulate_rig(
         friction=plan.friction_range,
         seed=plan.seed,
         unit=plan.unit,
+        stop_force=plan.stop_force,
     )
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     log = dataclasses.replace(log, source=log.source | origin)

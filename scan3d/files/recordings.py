@@ -24,7 +24,7 @@ from scan3d.files.columns import PARQUET, check_single, parquet_bytes
 from scan3d.files.tables import read_table
 from scan3d.files.text import REQUIRED, Section, read_rod, read_section, rod_section, rows_as_text, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, source_kind, write_together
-from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList
+from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList, measures
 from scan3d.recording import FORCE, REACTIONS, Known, Recording, completed
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity
@@ -132,8 +132,8 @@ def read_recording(path: str | Path) -> Recording:
     if _MOVE in table.names:
         # a column without any sweep is not that of a rig: all rows are read
         column = table.names.index(_MOVE)
-        if MOVES[Move.SWEEP] in table.text(column):
-            table = table.rows(np.flatnonzero(table.words(column, MOVES) == Move.SWEEP))
+        if {MOVES[Move.SWEEP], MOVES[Move.PROBE]} & {*table.text(column)}:
+            table = table.rows(np.flatnonzero(measures(table.words(column, MOVES))))
     at = {name: table.names.index(name) for name in columns}
     sweep = table.whole_numbers(at.pop("sweep"))
     values = {name: table.numbers(column) for name, column in at.items()}

@@ -23,7 +23,7 @@ from scan3d.files.tables import Table
 from scan3d.files.text import did_you_mean
 from scan3d.laboratory import clocks
 from scan3d.laboratory.signals import roughly_air
-from scan3d.poses import MOVES, Move
+from scan3d.poses import MOVES, measures
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentences
@@ -324,7 +324,7 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
     columns = map.columns
     sweeping = None
     if columns.move is not None:
-        sweeping = table.words(_find(table, map, columns.move, "move")[0], MOVES) == Move.SWEEP
+        sweeping = measures(table.words(_find(table, map, columns.move, "move")[0], MOVES))
     if columns.sweep is None:
         if sweeping is None:
             return None

@@ -15,6 +15,7 @@ so far away that its end, which probes like a finger, passes halfway between the
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -25,17 +26,19 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, ratio
 from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of
-from scan3d.choices import MODELS, SPACINGS, Model, Spacing
+from scan3d.choices import MODELS, PROBINGS, SPACINGS, Model, Probing, Spacing
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.recording import Recording
+from scan3d.recording import FORCE_SIGMAS, Recording
 from scan3d.rods import Gravity, Rod
-from scan3d.units import UNITS_M, Unit, is_finite
+from scan3d.units import FACTORS, UNITS_M, Unit, is_finite, spelled
 
 LARGEST_FRICTION = 100.0
 """Largest coefficient of friction.  No materials come near it, and beyond it steep forces lose their digits."""
 SMALLEST_CLEARANCE = 1e-6
 """Smallest distance of the base line from a slice, in rod lengths.  Smaller, rounding would put the base line into the body."""
+LARGEST_STOP_FORCE = 0.5
+"""Largest force at the end of a probing, in EI/L²: a fifth of Euler's load of a rod whose end may slide, π²/4."""
 LARGEST_NOISE = 1.0
 """Largest standard deviation of force and moment, in EI/L² and EI/L.  Contact forces are of that size, so that beyond it
 nothing would be measured."""
@@ -75,10 +78,20 @@ class Plan:
         body.
     gravity
         a `scan3d.Gravity`, of a rod that has a weight: it must lie in the planes of the slices.
+    probing
+        ``auto``: of a body that is not convex, after sweeps in an eighth of the slices, the rod is sent along itself, wherever
+        most is unknown, in at most twice as many planes as there are slices; in the spatial model without sweeps.  ``off``:
+        there are sweeps only; ``only``: there are none.
+    known
+        share of the surface that has a contact nearby, as far as contacts tell, at which probing ends; 0: where nothing is left
+        to gain.
+    stop_force
+        force at which a probing ends, in EI/L², or with a unit, such as ``"2 mN"``; ``"auto"``: a hundredth of EI/L², which
+        bends the rod by at most a three hundredth of its length, or twice what stands out of the noise.
     noise
         standard deviation of force and moment, in EI/L² and EI/L.
     seed
-        seed of the random friction and noise.
+        seed of the random friction, noise and directions.
     unit
         unit of the mesh's coordinates: ``m``, ``cm``, ``mm``, ``um`` or ``in``.
 
@@ -96,6 +109,9 @@ class Plan:
     clearance: float = 0.3
     rod: Rod | None = None
     gravity: Gravity | None = None
+    probing: Probing = "auto"
+    known: float = 0.0
+    stop_force: float | str = "auto"
     noise: float = 0.0
     seed: int = 0
     unit: Unit = "mm"
@@ -105,8 +121,11 @@ class Plan:
             check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
             check_whole("sweeps", self.sweeps, 1)
-        for name, known in (("model", MODELS), ("spacing", SPACINGS), ("unit", UNITS_M)):
+        choices = (("model", MODELS), ("spacing", SPACINGS), ("probing", PROBINGS), ("unit", UNITS_M))
+        for name, known in choices:
             check_choice(name, getattr(self, name), known)
+        if not (is_finite(self.known) and 0 <= self.known <= 1):
+            raise InputError(f"known must be a share from 0 to 1, got {self.known}")
         low, high = self.friction_range
         if not 0 <= low <= high <= LARGEST_FRICTION:
             raise InputError(
@@ -127,6 +146,7 @@ class Plan:
             raise InputError(
                 f"gravity must be a scan3d.Gravity, needed with a rod that has a weight, got {self.gravity!r}"
             )
+        self.stop_force_of(Rod.of_length(1.0))
         self.axes()
         for name in ("spacing", "axis", "tolerance") if self.model == "spatial" else ():
             value, default = getattr(self, name), getattr(type(self), name)
@@ -149,6 +169,29 @@ class Plan:
         if not all(map(is_finite, ends)):
             raise InputError(f"friction must be a number >= 0, or a range of two such numbers, got {self.friction!r}")
         return float(ends[0]), float(ends[1])
+
+    def stop_force_of(self, rod: Rod) -> float:
+        """The force at which a probing ends, in EI/L² of a rod.  Raises InputError for what is no such force."""
+        stands_out = FORCE_SIGMAS * self.noise
+        given = self.stop_force
+        if given == "auto":
+            return max(0.01, 2 * stands_out)
+        match = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*(\D.*)?", str(given).strip())
+        value, unit = (float(match[1]), match[2]) if match else (0.0, None)
+        factor = FACTORS["force"].get(spelled(unit, "force") or "") if unit else rod.force_unit_N
+        if factor is None or not 0 < value < math.inf:
+            raise InputError(
+                "stop_force must be auto, a force in EI/L² of the rod such as 0.01, or one with a unit such as 2mN; got "
+                f"{given!r}"
+            )
+        found = value * factor / rod.force_unit_N
+        # in newtons it is judged when the rod is known
+        if unit is None and not stands_out < found <= LARGEST_STOP_FORCE:
+            raise InputError(
+                f"stop_force must stand out of the noise, above {stands_out:.3g} EI/L², and be at most "
+                f"{LARGEST_STOP_FORCE:g} EI/L², far below what buckles the rod; got {given}"
+            )
+        return found
 
     def down(self, axes: Array) -> Array | None:
         """(m, 3) gravity in the frames of clamps with axes (m, 3, 3), as rows; None unless the rod has a weight."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -40,7 +40,8 @@ from scan3d.planning.plan import (
     icosahedron,
     positions,
 )
-from scan3d.poses import Move, PoseList
+from scan3d.planning.probing import Probings, Unknown
+from scan3d.poses import AWAY, Move, PoseList
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import UNITS_M
@@ -142,6 +143,7 @@ class Sweep(NamedTuple):
     """(n, 3)"""
     axes: Array
     """(3, 3) as rows."""
+    move: Move = Move.SWEEP
 
 
 class Space(NamedTuple):
@@ -174,6 +176,8 @@ class RigPlan:
     """Where the body is known to be."""
     model: str = "planar"
     """'planar': stacks of horizontal slices; 'spatial': rasters from the directions above the table."""
+    probing: bool = False
+    """Probings in the place of sweeps: three planes across each axis."""
     slices: int = 32
     """Number of slices; in the spatial model 0.6 times as many sweeps from each direction."""
     sweeps: int | None = None
@@ -223,6 +227,8 @@ class RigPlan:
             return self.rod
         around = self.around
         length = around.width if self.model == "planar" else max(around.width, around.height)
+        if self.probing:  # through the body, while the clamp stays outside
+            length = math.hypot(around.width, around.height) / (1 - 2 * AWAY)
         return Rod.of_length(UNITS_M[self.unit] * length)
 
     def resolved_clearance(self) -> float:
@@ -279,7 +285,10 @@ def plan_poses(plan: RigPlan) -> PoseList:
     """
     _check_size(plan)
     space = plan.space()
-    sweeps = _slices(plan, space) if plan.model == "planar" else _rasters(plan, space)
+    if plan.probing:
+        sweeps = probings(unknown(space).first_round().moves, space)
+    else:
+        sweeps = _slices(plan, space) if plan.model == "planar" else _rasters(plan, space)
     if not sweeps:
         raise InputError(
             f"no sweep from above the table reaches into {plan.around}; choose a longer rod or less clearance"
@@ -391,14 +400,15 @@ _Pose = tuple[int, Array, Array, int]
 def _poses(sweeps: list[Sweep], space: Space, first: int) -> Iterator[_Pose]:
     """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
     previous: tuple[Array, Array] | None = None
-    for number, (position, axes) in enumerate(sweeps, start=first):
-        start, end = _drawn_back(Sweep(position, axes), space)
+    for number, sweep in enumerate(sweeps, start=first):
+        position, axes, move = sweep
+        start, end = _drawn_back(sweep, space)
         if previous is not None:
             yield from (
                 (number, place, turned, Move.APPROACH) for place, turned in _turn(previous, (start, axes), space)
             )
         yield number, start, axes, Move.APPROACH
-        yield from ((number, place, axes, Move.SWEEP) for place in position)
+        yield from ((number, place, axes, move) for place in position)
         yield number, end, axes, Move.RETRACT
         previous = end, axes
 
@@ -518,6 +528,26 @@ def _lines(space: Space, body: Any, along: Array, spread: Array, moved: Array, n
         if segments_meet(body, places, rods, (1 - _LEAST) * space.length).any():
             lines.append(line)
     return lines
+
+
+def unknown(space: Space, contacts: Array | None = None, seed: Sequence[int] = (0,)) -> Unknown:
+    """What is unknown of a body in a space, of which contacts (n, 3) are known."""
+    low, high = space.points.min(axis=0), space.points.max(axis=0)
+    if contacts is not None:  # what is touched already tells where the body is better
+        size = 0.1 * np.ptp(contacts, axis=0)
+        low, high = np.maximum(low, contacts.min(axis=0) - size), np.minimum(high, contacts.max(axis=0) + size)
+    return Unknown(low, high, space.length, seed, space.floor, space.margin)
+
+
+def probings(moves: Probings, space: Space) -> list[Sweep]:
+    """Probings as sweeps of two poses each, which begin where the rod is behind the bounding body."""
+    found = []
+    for start, axes, travel in zip(*moves, strict=True):
+        end = start + travel * axes[1]
+        back = _drawn_back(Sweep(np.stack([start, end]), axes), space)[0]
+        if min(back[2], back[2] + space.length * axes[1, 2]) >= space.floor - NEGLIGIBLE * space.length:
+            found.append(Sweep(np.stack([back, end]), axes, Move.PROBE))
+    return found
 
 
 def lines_to(targets: Array, normals: Array, space: Space, random: np.random.Generator) -> list[Line]:

@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -43,6 +44,7 @@ from scipy.special import chdtri, ndtri
 import planar
 from scan3d.arrays import AT_ONCE, Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, LeftOut, Tilt, Unmeasured
+from scan3d.reconstruction import probings
 from scan3d.reconstruction.contacts import (
     contacts,
     model_of,
@@ -51,6 +53,7 @@ from scan3d.reconstruction.contacts import (
     renumbered,
     rest,
     spatial_contacts,
+    with_rows,
     without_normals,
 )
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
@@ -73,7 +76,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.measured import as_measured, as_recorded, measured, unmeasured
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.recording import FORCE, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, rounding_sd
+from scan3d.recording import FORCE, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, of_rows, rounding_sd
 from scan3d.rigs import with_relative
 from scan3d.units import UNITS_M, angle, length, number, point, share
 
@@ -119,11 +122,14 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     missing = cloud.unmeasured
     recording, cloud = as_measured(recording, cloud)
+    if cloud.probed is not None:
+        number = np.flatnonzero(~recording.in_probings)
+        if cloud.probed.all():
+            return Checked(_held(missing) + _below_table(cloud), None)
+        recording, cloud = of_rows(recording, number), with_rows(cloud.swept(), number)
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
-        number = np.full(kept[-1] + 1, -1)
-        number[kept] = np.arange(len(kept))
-        cloud = renumbered(cloud, number)
+        cloud = with_rows(cloud, kept)
     alone, diagnosis = _held(missing) + _below_table(cloud) + _followed(recording), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
@@ -532,6 +538,9 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
 
 def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
     """`reconstruct` of a recording all of whose rows were measured."""
+    along = recording.in_probings
+    if along.any():
+        return _with_probings(recording, along, method, model)
     if model == "spatial":
         found = with_rig_errors(spatial_contacts(recording), recording)
         return replace(found, pose_error=found.pose_error + 2 * _deeper(found))
@@ -554,6 +563,25 @@ def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
         return found
     explained = known is not recording and left_out(recording, found.fattened or found) is None
     return found if explained else _with_left_out(found, left)
+
+
+def _with_probings(recording: Recording, along: Mask, method: str, model: str) -> Cloud:
+    """`_reconstructed` of a recording of which some rows (n,) are those of probings, and the others those of sweeps."""
+    number, swept = np.flatnonzero(~along), None
+    if len(number):
+        part = of_rows(recording, number)
+        with suppress(NoContactError):
+            hollow = replace(part, source={**part.source, "convex": False})
+            swept = renumbered(_reconstructed(hollow, method, model), number)
+    number = np.flatnonzero(along)
+    try:
+        part = of_rows(recording, number)
+        probed = renumbered(with_rig_errors(probings.contacts(part, model), part), number)
+    except NoContactError:
+        if swept is None:
+            raise
+        return replace(swept, convex=False)
+    return probings.with_probings(swept, probed)
 
 
 def _deeper(cloud: Cloud) -> float:

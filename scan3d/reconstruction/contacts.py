@@ -46,17 +46,18 @@ _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 def model_of(recording: Recording, method: str = "closed-form", model: str | None = None) -> str:
     """The model by which a recording is read, 'planar' or 'spatial'; see `scan3d.reconstruct`.
 
-    Raises InputError if the recording has not the axes that the model needs, and for the spatial model of a body that is stated
-    not to be convex.
+    Raises InputError if the recording has not the axes that the model needs, and for sweeps in the spatial model of a body that
+    is stated not to be convex.
     """
     if model not in (None, *MODELS):
         raise InputError(f"model must be one of {', '.join(MODELS)}, got {model!r}")
-    hollow = recording.stated_hollow
+    hollow = recording.stated_hollow and not recording.in_probings.all()
     if model == "planar" or (model is None and (hollow or not recording.six_axis)):
         return "planar"
     if hollow:
         raise InputError(
-            "the spatial model is for convex bodies, and the recording states convex = false: choose the planar model"
+            "in the spatial model bodies that are not convex are probed, not swept, and the recording states convex = false: "
+            "choose the planar model"
         )
     if method != "closed-form":
         raise InputError(
@@ -172,6 +173,22 @@ def renumbered(cloud: Cloud, number: Index) -> Cloud:
     """The cloud with other numbers (n,) for the rows of the recording."""
     fattened = None if cloud.fattened is None else renumbered(cloud.fattened, number)
     return replace(cloud, row=number[cloud.row].astype(np.int32), fattened=fattened)
+
+
+def with_rows(cloud: Cloud, rows: Index) -> Cloud:
+    """The cloud with the numbers that rows have among those (k,), rising, that are kept of the recording."""
+    number = np.full(rows[-1] + 1, -1)
+    number[rows] = np.arange(len(rows))
+    return renumbered(cloud, number)
+
+
+def into_body(recording: Recording, cloud: Cloud) -> Array:
+    """(n, 3) unit vectors from the contacts into the body: against the normals, or along the rods whose ends touch.
+
+    Normals are those in the planes of slices, as far as they are known.
+    """
+    along = recording.axes()[cloud.row, 1]
+    return np.where(np.isfinite(cloud.in_plane_normals), -cloud.in_plane_normals, along)
 
 
 def _steepest(cloud: Cloud) -> float:

@@ -63,7 +63,7 @@ class Reactions(NamedTuple):
 
 
 def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) -> list[Reactions]:
-    """The reactions of a rod that sweeps a convex `trimesh.Trimesh` whose unit is so many metres.
+    """The reactions of a rod that sweeps a `trimesh.Trimesh`, convex in space, whose unit is so many metres.
 
     The centre line of a thick rod touches the mesh fattened by the rod's radius, and the contact force acts on it there.
 
@@ -118,8 +118,9 @@ def recorded(
     position: Array,
     wrench: Array,
     source: dict[str, Any],
+    *part: int,
 ) -> Recording:
-    """The recording of sweeps (m), as a rig would log it, with the noise of a plan.
+    """The recording of sweeps (m), as a rig would log it, with the noise of a plan, drawn anew for each numbered `part` of it.
 
     axes (m, 3, 3)
         of the clamps, as rows.
@@ -131,7 +132,7 @@ def recorded(
     quaternion = Rotation.from_matrix(np.swapaxes(axes, 1, 2)).as_quat(scalar_first=True)
     wrench = np.nan_to_num(wrench)
     if plan.noise > 0:
-        random = np.random.default_rng([plan.seed, 1])
+        random = np.random.default_rng([plan.seed, 1, *part])
         wrench += plan.noise * np.hstack([*random.standard_normal((wrench.shape[1] // 3, len(wrench), 3))])
     forces = 3 if wrench.shape[1] == 6 else 2
     force, moment = wrench[:, :forces] * rod.force_unit_N, wrench[:, forces:] * rod.moment_unit_Nm
@@ -156,17 +157,18 @@ def recorded(
 
 def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, thick: Rod) -> list[Reactions]:
     outlines = _outlines(mesh, tracks, length, length * thick.diameter_m / 2 / thick.length_m)
+    lowest = [min((loop[:, 1].min() for loop in loops), default=np.inf) for loops in outlines]
     rod = thick.in_plane()
     reactions = []
     for first in range(0, len(tracks), 16):
         part = range(first, min(first + 16, len(tracks)))
-        within = [k for k in part if len(outlines[k]) and outlines[k][:, 1].min() <= 1]
+        within = [k for k in part if lowest[k] <= 1]
         for k in within:
-            if outlines[k][:, 1].min() <= 0:
+            if lowest[k] <= 0:
                 raise InputError(_begins_in_body(tracks[k].number))
         travel = [(tracks[k].position - tracks[k].position[0]) @ tracks[k].axes[0, 0] / length for k in within]
         base = list(map(np.minimum.accumulate, travel))  # falling also where rounding would lift it
-        contours = [planar.Polygon(outlines[k]) for k in within]
+        contours = [contour_of(outlines[k]) for k in within]
         frictions = [tracks[k].friction for k in within]
         swept = planar.sweep_all(contours, frictions, base=base, rod=rod) if within else []
         results = dict(zip(within, swept, strict=True))
@@ -209,9 +211,15 @@ def _check_path(track: Track, length: float, model: str) -> None:
         )
 
 
-def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Array]:
-    """The contour (m, 2) of each sweep's slice in the frame of its clamp at the first place, in rod lengths."""
-    outlines: list[Array] = [np.empty((0, 2))] * len(tracks)
+def contour_of(loops: Sequence[Array]) -> planar.Contour:
+    """The contour of loops (m, 2)."""
+    parts = [planar.Polygon(loop) for loop in loops]
+    return parts[0] if len(parts) == 1 else planar.Contours(parts)
+
+
+def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[list[Array]]:
+    """The loops (m, 2) of each sweep's slice in the frame of its clamp at the first place, in rod lengths."""
+    outlines: list[list[Array]] = [[]] * len(tracks)
     frames = np.array([track.axes[0] for track in tracks])
     rows = np.round(frames, 12).reshape(len(tracks), -1)
     _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -220,7 +228,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
         start = np.array([tracks[i].position[0] @ frames[row].T for i in members])
         loops = sections(mesh, frames[row], start[:, 2], radius, length)
         for i, part, place in zip(members, loops, start, strict=True):
-            outlines[i] = (np.concatenate([*part, np.empty((0, 2))]) - place[:2]) / length
+            outlines[i] = [(loop - place[:2]) / length for loop in part]
     return outlines
 
 

@@ -25,17 +25,22 @@ from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.text import Section, read_section
 from scan3d.geometry.distance import segments_meet
-from scan3d.geometry.hulls import check_body, check_convex
-from scan3d.poses import TABLE, Move, PoseList
+from scan3d.geometry.hulls import check_body, check_convex, hull, is_convex
+from scan3d.planning.plan import Plan
+from scan3d.planning.probing import Probings
+from scan3d.poses import TABLE, Move, PoseList, measures
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import check_positions, to_inner, turn_of
 from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
+from scan3d.simulation.probing import felt_along
 from scan3d.units import UNITS_M
 from scan3d.workers import check_memory
 
 # Bytes that a row of a log takes while it is computed and written.
 _MEMORY_PER_ROW = 1500
+# Rows that are logged, about, while the clamp waits at the end of a probing.
+_WAIT = 4
 BETWEEN = -1
 """Number of the sweep in rows between sweeps of a log with faults."""
 
@@ -76,7 +81,7 @@ class RawLog:
         """
         if self.faults is not None:
             raise InputError("a log with faults is no recording; import it")
-        chosen = self.move == Move.SWEEP if rows is None else rows
+        chosen = measures(self.move) if rows is None else rows
         wrench = self.wrench[chosen]
         return Recording(
             sweep=self.sweep[chosen],
@@ -123,8 +128,9 @@ def simulate_rig(
     friction: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
     unit: str = "mm",
+    stop_force: float | str = "auto",
 ) -> RawLog:
-    """The log of a rig that goes through a list of poses past a convex `trimesh.Trimesh`.
+    """The log of a rig that goes through a list of poses past a `trimesh.Trimesh`, which is convex if it is swept in space.
 
     mesh
         the body where it stands in the world, with coordinates in `unit`; `standing` puts it on the table.
@@ -138,16 +144,20 @@ def simulate_rig(
         lowest and highest coefficient of friction, of which every row draws its own.
     seed
         of the random friction.
+    stop_force
+        at which a probing ends, as in `Plan`.
 
-    Raises InputError for bodies that are not closed and convex, where no rod is known, and where the rod touches the body
-    before a sweep begins.
+    Raises InputError for bodies that are not closed, and not convex where they must be, where no rod is known, and where the
+    rod touches the body before a sweep begins.
     """
     check_body(mesh)
-    check_convex(mesh, "a simulated rig")
     nominal, model = rod or poses.rod, model or poses.model
     if nominal is None:
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")
-    if model == "planar" and nominal.tapered:  # as in scans of meshes
+    convex = is_convex(mesh)
+    if (poses.move == Move.SWEEP).any() and model == "spatial":
+        check_convex(mesh, "a body that a simulated rig sweeps in space")
+    if (model == "planar" and nominal.tapered) or not convex:  # as in scans of meshes
         nominal = nominal.without_thickness()
     check_positions("poses", poses.position_m, nominal.length_m)
     real = nominal  # the rod that is in the clamp
@@ -155,24 +165,41 @@ def simulate_rig(
         length = nominal.length_m * (1 + faults.length_error)
         stiffness = nominal.bending_stiffness_Nm2 * (1 + faults.stiffness_error)
         real = Rod(length, stiffness, nominal.diameter_m)
-    rows = _rows_of(poses, faults)
     metres = UNITS_M[unit]
     length, radius = real.length_m / metres, real.diameter_m / metres / 2
+    settings = Plan(
+        model="planar" if model == "planar" else "spatial",
+        friction=friction,
+        seed=seed,
+        rod=real,
+        stop_force=stop_force,
+    )
+    poses, probed = _stopped(mesh, poses, settings, metres, faults)
+    rows = _rows_of(poses, faults)
     tracks, members = _tracks(rows, friction, seed, metres)
-    start = np.array([track.position[0] for track in tracks])
-    touches = segments_meet(mesh, start, np.array([track.axes[0, 1] for track in tracks]), length, radius)
+    around = mesh if convex else hull(mesh.vertices.view(np.ndarray))
+    start = np.array([track.position[0] for track in tracks]).reshape(-1, 3)
+    touches = segments_meet(
+        around, start, np.array([track.axes[0, 1] for track in tracks]).reshape(-1, 3), length, radius
+    )
     if touches.any():
         raise InputError(
             f"the rod lies in the body where {touches.sum()} of {len(tracks)} sweeps begin, first sweep "
             f"{tracks[int(np.argmax(touches))].number}: the body is larger than what the poses were planned for, or "
             "stands elsewhere; plan with a larger --around"
         )
-    reactions = felt(mesh, tracks, real, metres, model)
+    reactions = felt(mesh, tracks, real, metres, model) if tracks else []
     wrench = np.zeros((len(rows.time), 6))
+    for number, place, reaction in probed:
+        at_stop = (rows.sweep == number) & (rows.move == Move.PROBE)
+        at_stop &= np.linalg.norm(rows.position_m - place, axis=1) <= NEGLIGIBLE * real.length_m
+        wrench[at_stop] = reaction
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
-    warnings = _warnings(mesh, poses, reactions, length, radius, metres)
+    warnings = _warnings(around, poses, reactions, length, radius, metres)
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
+    if not convex:
+        source["convex"] = False
     if "around" in poses.source:
         source["around"] = poses.source["around"]
     if "placed" in mesh.metadata:
@@ -185,12 +212,66 @@ def simulate_rig(
     return replace(
         log,
         time_s=log.time_s[keep],
-        sweep=np.where(log.move == Move.SWEEP, log.sweep, BETWEEN)[keep],
+        sweep=np.where(measures(log.move), log.sweep, BETWEEN)[keep],
         move=log.move[keep],
         position_m=logged_positions(log.position_m, faults)[keep],
         quaternion=log.quaternion[keep],
         wrench=measured(wrench[:, :3], wrench[:, 3:], faults, (nominal.force_unit_N, nominal.moment_unit_Nm))[keep],
     )
+
+
+class _Probed(NamedTuple):
+    """A probing that touches: its number, where the clamp stops (3,), and what is felt there (6,), in SI units."""
+
+    number: int
+    place: Array
+    wrench: Array
+
+
+def _stopped(
+    mesh: Any, poses: PoseList, settings: Plan, metres: float, faults: Faults | None
+) -> tuple[PoseList, list[_Probed]]:
+    """The poses, of which probings end where they touch, and the probings that do.
+
+    Those of which it is not known what they touch are left out.  Where rows are logged at a rate, the clamp waits for a few.
+    """
+    groups = [rows for rows in poses.sweeps() if poses.move[rows[0]] == Move.PROBE]
+    if not groups:
+        return poses, []
+    rod = settings.rod
+    assert rod is not None
+    first, last = np.array([rows[0] for rows in groups]), np.array([rows[-1] for rows in groups])
+    axes = poses.axes()[first]
+    travel = np.einsum("ni,ni->n", axes[:, 1], poses.position_m[last] - poses.position_m[first]) / metres
+    moves = Probings(poses.position_m[first] / metres, axes, travel)
+    friction = np.array(
+        [drawn_friction(settings.friction_range, 1, [settings.seed, 8, int(k)])[0] for k in poses.sweep[first]]
+    )
+    stop, length = settings.stop_force_of(rod), rod.length_m / metres
+    found = felt_along(mesh, moves, rod, length, friction, stop, None, settings.model == "planar")
+    place = poses.position_m[first] + found.travel[:, None] * metres * axes[:, 1]
+    wrench = np.hstack([found.force * rod.force_unit_N, found.moment * rod.moment_unit_Nm])
+    position, keep = poses.position_m.copy(), np.ones(len(poses), dtype=bool)
+    repeat, probed = np.ones(len(poses), dtype=int), []
+    for k, rows in enumerate(groups):
+        number = int(poses.sweep[rows[0]])
+        if not found.resolved[k]:
+            keep[poses.sweep == number] = False
+        elif found.touches[k]:
+            position[rows[-1]] = place[k]
+            beyond = (position[rows[1:-1]] - place[k]) @ axes[k, 1] >= 0
+            keep[rows[1:-1][beyond]] = False
+            repeat[rows[-1]] = 1 if faults is None else 1 + math.ceil(_WAIT / faults.rate_hz / 1e-3)
+            probed.append(_Probed(number, place[k], wrench[k]))
+            # what is drawn back begins there
+            after = np.flatnonzero((poses.sweep == number) & (poses.move == Move.RETRACT))
+            aside = (position[after] - place[k]) @ axes[k, 1] > 0
+            keep[after[aside]] = False
+    kept_rows = np.repeat(np.flatnonzero(keep), repeat[keep])
+    if not len(kept_rows):
+        raise InputError("of none of the probings is it known what the rod touches; plan others")
+    columns = {name: getattr(poses, name)[kept_rows] for name in ("sweep", "quaternion", "move")}
+    return replace(poses, position_m=position[kept_rows], **columns), probed
 
 
 def _rows_of(poses: PoseList, faults: Faults | None) -> _Rows:
@@ -217,9 +298,9 @@ def _rows_of(poses: PoseList, faults: Faults | None) -> _Rows:
         quaternion[rows] = (turns[before[rows]] * step).as_quat(canonical=True, scalar_first=True)
     # what the clamp does until the next pose: it sweeps between two poses of a sweep
     first, second = poses.move[:-1], poses.move[1:]
-    move = np.where((first == Move.SWEEP) & (second == Move.SWEEP), Move.SWEEP, Move.APPROACH)
+    move = np.where((first == second) & measures(first), first, Move.APPROACH)
     move = np.where(second == Move.RETRACT, Move.RETRACT, move).astype(np.int8)[before]
-    return _Rows(time, poses.sweep[before + 1 * (move != Move.SWEEP)], move, position, quaternion)
+    return _Rows(time, poses.sweep[before + 1 * ~measures(move)], move, position, quaternion)
 
 
 def _tracks(
@@ -229,7 +310,7 @@ def _tracks(
     sweeping = np.flatnonzero(rows.move == Move.SWEEP)
     members = np.split(sweeping, np.flatnonzero(np.diff(rows.sweep[sweeping])) + 1)
     members = [where for where in members if len(where) > 1]
-    if not members:
+    if not members and len(sweeping):
         raise InputError("no sweep has two rows in this log; choose a higher rate_hz or a lower speed")
     axes = Rotation.from_quat(rows.quaternion, scalar_first=True).as_matrix().swapaxes(1, 2)
     tracks = []
@@ -245,7 +326,8 @@ def _warnings(
 ) -> tuple[str, ...]:
     """Sentences on sweeps whose log is not that of a rod that is free before and after it."""
     touching = steps_touch(mesh, poses.position_m / metres, poses.axes(), length, radius)
-    outside = (poses.move[:-1] != Move.SWEEP) | (poses.move[1:] != Move.SWEEP)
+    # a rod that was probed with goes back as it came
+    outside = ~(measures(poses.move[:-1]) & measures(poses.move[1:])) & (poses.move[:-1] != Move.PROBE)
     hit = np.unique(poses.sweep[1:][touching & outside])
     bent = sum(bool(part.touches[-1]) for part in reactions)
     lost = sum(part.lost for part in reactions)

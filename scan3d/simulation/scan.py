@@ -49,11 +49,21 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
+from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.simulation.felt import check_simple, drawn_friction, grown_extent, recorded, rounded_body, sections
+from scan3d.simulation.felt import (
+    check_simple,
+    contour_of,
+    drawn_friction,
+    grown_extent,
+    recorded,
+    rounded_body,
+    sections,
+)
+from scan3d.simulation.probing import probe
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
 from scan3d.spatial.sweeping import Sweeps, passages, sweep
@@ -87,6 +97,10 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
 def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
     """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
     _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
+    convex = is_convex(mesh)
+    along = plan.probing == "only" or (plan.probing == "auto" and not convex)
+    if along and (plan.probing == "only" or plan.model == "spatial"):
+        return probe(mesh, plan, rod_for(mesh, plan), progress=progress)
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan, progress)
@@ -95,9 +109,11 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             raise InputError(f"{setting} needs adaptive spacing, got spacing {plan.spacing!r}; leave one of them out")
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
-    widest = max(width_of(mesh, frame) for frame in frames)
-    rod = plan.rod or Rod.of_length(metres * (float(np.linalg.norm(mesh.extents)) if plan.is_free else widest))
-    convex = is_convex(mesh)
+    if along:
+        rod = rod_for(mesh, plan)
+    else:
+        widest = max(width_of(mesh, frame) for frame in frames)
+        rod = plan.rod or Rod.of_length(metres * (float(np.linalg.norm(mesh.extents)) if plan.is_free else widest))
     if not convex and not rod.without_thickness().is_simple:
         raise InputError(
             "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose "
@@ -110,6 +126,9 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         )
     if not convex and plan.spacing == "adaptive":  # which asks for bounds between slices, as convex bodies have
         plan = replace(plan, spacing="uniform")
+    planes = 2 * plan.slices if along else 0
+    if along:  # a few sweeps tell friction and normals; rods that move along themselves reach more
+        plan = replace(plan, slices=max(plan.slices // 8, 1))
     if plan.rod is None or rod.tapered or not convex:  # no radius fattens the body for a tapered rod
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
@@ -120,7 +139,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
-        count = plan.slices * len(scans)
+        count = plan.slices * len(scans) + planes
 
         def report(done: int, before: int = plan.slices * k, count: int = count) -> None:
             if progress is not None:
@@ -135,9 +154,22 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             report(len(scan.heights))
         if plan.spacing == "adaptive":
             _adapt(scan, rod, report)
-        if not convex and plan.sweeps is None:
+        if not convex and plan.sweeps is None and not along:
             _aim(scan, rod)
-    return recording_of(scans, rod)
+    swept = recording_of(scans, rod)
+    if not along:
+        return swept
+    done = count - planes
+    return probe(
+        mesh, replace(plan, slices=planes // 2), rod, [swept], progress and (lambda k, _: progress(done + k, count))
+    )
+
+
+def rod_for(mesh: Any, plan: Plan) -> Rod:
+    """The rod of a body that is probed: that of the plan, or one that reaches through it."""
+    diagonal = UNITS_M[plan.unit] * float(np.linalg.norm(mesh.extents))
+    # the clamp stays away from the body
+    return (plan.rod or Rod.of_length(diagonal / (1 - 2 * AWAY))).without_thickness()
 
 
 def _check_size(mesh: Any, plan: Plan, slices: int, sweeps: float) -> None:
@@ -418,9 +450,10 @@ class AxisScan:
         return centre + ahead * (centre - before) + scaled * (contour - centre)
 
     def _lines(self, i: int, directions: Array, *, first: bool = False) -> list[BaseLine]:
-        """Base lines of sweeps of slice i from some directions: with the `first` ones, nearer and farther ones."""
+        """Base lines of sweeps of slice i from some directions: with the `first` ones, nearer and farther ones, unless probings
+        reach into the body."""
         outline, clearances = self.outline(i), [[self.plan.clearance]] * len(directions)
-        if first and not self.convex:
+        if first and not self.convex and self.plan.probing == "off":
             clearances = base_clearances(self.plan, len(directions))
         return [
             base_line(outline, angle, clearance * self.length)
@@ -456,8 +489,7 @@ class AxisScan:
 
     def _contour(self, i: int, line: BaseLine) -> planar.Contour:
         """The contour of slice i in the frame of a base line, in rod lengths."""
-        parts = [planar.Polygon((loop - line.origin) @ line.axes.T / self.length) for loop in self.loops[i]]
-        return parts[0] if len(parts) == 1 else planar.Contours(parts)
+        return contour_of([(loop - line.origin) @ line.axes.T / self.length for loop in self.loops[i]])
 
     def _open_directions(self, done: list[_Swept], i: int, limit: float | None = None) -> Array:
         """Approach directions for what the sweeps of slice i have left open of its contour, as `further_directions`."""

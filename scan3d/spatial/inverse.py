@@ -20,12 +20,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc
 
 import planar
 from planar.plots import Explained
 from planar.reconstruction import DIFFERENCE
 from planar.rods import solve
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import ROUNDING, Array, Index, Mask
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod
 
@@ -307,3 +308,58 @@ def _checked(name: str, values: ArrayLike) -> Array:
 
 def _dot(a: Array, b: Array) -> Array:
     return (a * b).sum(axis=1)
+
+
+class AtEnds(NamedTuple):
+    """The ends (n,) of rods that are touched there alone, in rod lengths and in the clamp's frame."""
+
+    point: Array
+    """(3, n)"""
+    covariance: Array
+    """(n, 3, 3) by the noise."""
+    chance: Array
+    """(n,) probability that noise makes the moment at the end as large as it is; 0 where exact reactions have one."""
+
+
+def at_ends(
+    force: Array,
+    moment: Array,
+    noise: tuple[float, float],
+    *,
+    rod: SpatialRod,
+    gravity: Array | None = None,
+    in_plane: bool = False,
+) -> AtEnds:
+    """Where rods end that are touched there alone, by support reactions (3, n) and the noise of force and moment.
+
+    The moment at the end vanishes, which conditions the reactions.  In a plane nothing is known of fz, mx and my, which are 0.
+    """
+    channels = np.array([0, 1, 5]) if in_plane else np.arange(6)
+    # about d1 = z, d2 = x and d3 = y; in a plane about z alone
+    vanishing = np.arange(1 if in_plane else 3)
+
+    def marched(reactions: Array) -> tuple[Array, Array]:
+        found = march.ends(rod, reactions[:3], reactions[3:], gravity)
+        return found.point, found.moment[vanishing].T
+
+    reactions = np.concatenate([force, moment])
+    point, left = marched(reactions)
+    n, sd = reactions.shape[1], np.repeat(noise, 3)[channels]
+    if sd.max() <= ROUNDING:
+        return AtEnds(point, np.zeros((n, 3, 3)), np.where(np.abs(left).max(axis=1) <= planar.TOLERANCE, 1.0, 0.0))
+    places, moments = np.empty((n, 3, len(channels))), np.empty((n, len(vanishing), len(channels)))
+    for k, channel in enumerate(channels):
+        step = DIFFERENCE * np.eye(6)[channel][:, None]
+        one, other = marched(reactions + step), marched(reactions - step)
+        places[..., k], moments[..., k] = (
+            (one[0] - other[0]).T / (2 * DIFFERENCE),
+            (one[1] - other[1]) / (2 * DIFFERENCE),
+        )
+    spread = np.diag(sd**2)
+    of_moment = moments @ spread @ moments.transpose(0, 2, 1)
+    gain = np.linalg.solve(of_moment, moments @ spread).transpose(0, 2, 1)
+    statistic = np.einsum("ni,ni->n", left, np.linalg.solve(of_moment, left[..., None])[..., 0])
+    better = reactions.copy()
+    better[channels] -= (gain @ left[..., None])[..., 0].T
+    covariance = places @ (spread - gain @ moments @ spread) @ places.transpose(0, 2, 1)
+    return AtEnds(marched(better)[0], covariance, chdtrc(len(vanishing), statistic))

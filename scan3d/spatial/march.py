@@ -85,11 +85,7 @@ def contacts(
     Reactions of rods with weight are the whole ones.  `steps` along the rod are by default as many as places need to be
     right to 1e-10.  Raises ValueError for a weight without gravity.
     """
-    if rod.profile.weight and gravity is None:
-        raise ValueError("a rod with weight needs the direction of gravity in the clamp's frame")
-    down = np.broadcast_to(gravity if rod.profile.weight and gravity is not None else np.zeros((3, 1)), force.shape)
-    contact_force = -force - rod.profile.weight * down
-    start = _start(rod, contact_force, -moment, down)
+    start, contact_force = _clamped(rod, force, moment, gravity)
 
     def places(rows: Index, steps: int) -> Array:
         return _contacts(rod, start[:, rows], contact_force[:, rows], steps).point
@@ -98,6 +94,33 @@ def contacts(
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
+
+
+class Ends(NamedTuple):
+    """Ends (n,) of marched rods in rod lengths, in the clamp's frame."""
+
+    point: Array
+    """(3, n) place relative to the clamp."""
+    moment: Array
+    """(3, n) internal moment about d1, d2 and d3, zero where the rod is touched at its end alone."""
+
+
+def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None) -> Ends:
+    """The ends of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
+
+    Reactions of rods with weight are the whole ones; the contact force acts at the end.  Raises ValueError as `contacts`.
+    """
+    start, _ = _clamped(rod, force, moment, gravity)
+
+    def marched(rows: Index, steps: int) -> Array:
+        state = start[:, rows]
+        for at, end in pairwise(grid(rod.profile, steps).tolist()):
+            state = _step(rod, state, at, end - at)
+        return np.concatenate([state[_R], state[_M]])
+
+    # rods that are touched at their ends may be bent so little that one step is enough
+    found = marched(np.arange(force.shape[1]), enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1))
+    return Ends(found[:3], found[3:])
 
 
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
@@ -110,6 +133,15 @@ def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
         if not (np.abs(moment - before) > _SETTLED).any():
             break
     return -rod.profile.weight * down, -moment
+
+
+def _clamped(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None) -> tuple[Array, Array]:
+    """States (16, n) at the clamp by the support reactions (3, n), and contact forces (3, n)."""
+    if rod.profile.weight and gravity is None:
+        raise ValueError("a rod with weight needs the direction of gravity in the clamp's frame")
+    down = np.broadcast_to(gravity if rod.profile.weight and gravity is not None else np.zeros((3, 1)), force.shape)
+    contact_force = -force - rod.profile.weight * down
+    return _start(rod, contact_force, -moment, down), contact_force
 
 
 def _start(rod: SpatialRod, contact_force: Array, moment: Array, down: Array) -> Array:

@@ -83,7 +83,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
     known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, apart)
     surface.vertex_attributes["known"] = known
-    return Carved(surface, float(contours.distance.max(initial=0.0)), apart, _coverage(surface, known))
+    return Carved(surface, float(contours.distance.max(initial=0.0)), apart, coverage_of(surface, known))
 
 
 def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Array:
@@ -194,7 +194,7 @@ def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, g
     return known.astype(np.int8)
 
 
-def _coverage(surface: Any, known: NDArray[np.int8]) -> dict[str, Any]:
+def coverage_of(surface: Any, known: NDArray[np.int8]) -> dict[str, Any]:
     """Shares of the area by class, and the patches of unknown surface."""
     faces, vertices = surface.faces.view(np.ndarray), surface.vertices.view(np.ndarray)
     area = areas(vertices[faces])

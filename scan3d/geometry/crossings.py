@@ -1,0 +1,90 @@
+"""Where straight lines first meet a triangle mesh of any shape: what the tip of a rod meets that moves along itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scan3d.arrays import AT_ONCE, Array, Index, Mask, ranges
+
+
+def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index]:
+    """Where parallel lines first meet a mesh: the distances (n,) from their starts, infinite where there is nothing, and faces.
+
+    mesh
+        a closed `trimesh.Trimesh`.
+    start (n, 3), along (3,)
+        where the lines begin, outside of the body, and the unit vector along all of them.
+
+    A line meets a face in its edges and corners as well.  On which side of an edge a line passes is computed alike for both
+    faces of the edge, so that none passes between them.  Faces along the lines are met at their edges, which others share.
+    """
+    frame = _frame(start, along)
+    centre = mesh.bounds.mean(axis=0)
+    corners, lines = (mesh.vertices.view(np.ndarray) - centre) @ frame.T, (start - centre) @ frame.T
+    faces = mesh.faces.view(np.ndarray)
+    order = np.argsort(lines[:, 1], kind="stable")
+    level = lines[order, 1]
+    height = corners[faces, 1]
+    first = np.searchsorted(level, height.min(axis=1))
+    count = np.searchsorted(level, height.max(axis=1), side="right") - first
+    distance, face = np.full(len(start), np.inf), np.full(len(start), -1)
+    near = np.flatnonzero(count)
+    blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE, count.sum(), AT_ONCE))
+    for some in np.split(near, np.unique(blocks)):
+        which, after = ranges(count[some])
+        candidate, line = some[which], order[first[some][which] + after]
+        met, depth = _met(corners, faces[candidate], lines[line])
+        candidate, line, depth = candidate[met], line[met], depth[met]
+        depth -= lines[line, 2]
+        candidate, line, depth = candidate[depth >= 0], line[depth >= 0], depth[depth >= 0]
+        by_depth = np.lexsort((candidate, depth, line))
+        nearest = by_depth[np.diff(line[by_depth], prepend=-1) > 0]
+        closer = nearest[depth[nearest] < distance[line[nearest]]]
+        distance[line[closer]], face[line[closer]] = depth[closer], candidate[closer]
+    return distance, face
+
+
+def first_met(mesh: Any, start: Array, along: Array) -> tuple[Array, Index]:
+    """`first_crossings` of lines (n,) with directions (n, 3), of which many are alike."""
+    distance, face = np.full(len(start), np.inf), np.full(len(start), -1)
+    direction, number = np.unique(along, axis=0, return_inverse=True)
+    for k, common in enumerate(direction):
+        rows = np.flatnonzero(number.reshape(-1) == k)
+        distance[rows], face[rows] = first_crossings(mesh, start[rows], common)
+    return distance, face
+
+
+def _frame(start: Array, along: Array) -> Array:
+    """(3, 3) axes as rows, the third along the lines, and the second across the plane of those that lie in one."""
+    spread = start - start.mean(axis=0)
+    spread = spread - (spread @ along)[:, None] * along
+    widest = spread[np.argmax((spread * spread).sum(axis=1))]
+    if not (widest @ widest) > 0:
+        widest = np.eye(3)[np.abs(along).argmin()]
+        widest = widest - (widest @ along) * along
+    first = widest / np.linalg.norm(widest)
+    return np.stack([first, np.cross(along, first), along])
+
+
+def _met(corners: Array, faces: Index, lines: Array) -> tuple[Mask, Array]:
+    """Whether lines along the third axis, one for each face (m, 3), meet it, and where (m,)."""
+    x, y = lines[:, 0], lines[:, 1]
+    across = corners[faces, 0]
+    met = (across.min(axis=1) <= x) & (across.max(axis=1) >= x)
+    some = np.flatnonzero(met)
+    faces, x, y = faces[some], x[some], y[some]
+    sides = np.empty((len(some), 3))
+    for k in range(3):
+        a, b = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        low, high = corners[np.minimum(a, b)], corners[np.maximum(a, b)]
+        side = (high[:, 0] - low[:, 0]) * (y - low[:, 1]) - (high[:, 1] - low[:, 1]) * (x - low[:, 0])
+        sides[:, k] = np.where(a < b, side, -side)
+    total = sides.sum(axis=1)
+    inside = ((sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)) & (total != 0)
+    met[some] = inside
+    depth = np.zeros(len(met))
+    weights = sides[inside] / total[inside, None]
+    depth[some[inside]] = (weights * corners[faces[inside], 2]).sum(axis=1)
+    return met, depth

@@ -1,0 +1,143 @@
+"""Contacts of probings: sweeps in which the clamp moves along its own y axis, that of the undeformed rod, until it touches.
+
+A straight rod that moves along itself stays where its end has been.  So, until a force is felt, the line that the rod and its
+end have passed is free, and the first contact is that of its end, and the only one: its arc length is known, no second contact
+can hide, and nothing has to be planar.  The end is where the reactions bend the rod to.  They are conditioned on the moment at
+the end, which vanishes: weighted by their noise they are moved by the least that makes it zero, and where that is more than
+noise explains, the rod was touched elsewhere.
+
+Friction does not enter.  The force lies within the friction angle of the surface's normal, which is not known by itself.
+
+Premises: the rod is straight at rest, so that it follows its end, and as thin as the distance in which its end is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import planar
+from scan3d.arrays import ROUNDING, Array, Index
+from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
+from scan3d.errors import InputError
+from scan3d.reconstruction.errors import RIGHT_ROWS, NoContactError, felt
+from scan3d.recording import Recording
+from scan3d.rigs import RigErrors
+from scan3d.spatial import inverse
+from scan3d.units import UNITS_M
+
+
+def contacts(recording: Recording, model: str) -> Cloud:
+    """The contacts of a recording of probings, one of each that felt something: that of its first row with a force.
+
+    Their clouds have no slices.  Raises NoContactError if no row gives one, and InputError for rods that are not straight.
+    """
+    six_axis, rod, scale = model == "spatial", recording.rod, UNITS_M[recording.unit]
+    if any(rod.curvatures):
+        raise InputError(
+            "a rod that is curved does not follow its end when it moves along its clamp's y axis: probe with a straight "
+            "one, or leave the sweeps along y out of the recording"
+        )
+    noise = recording.noise.of_reactions(rod)
+    touched = np.flatnonzero(felt(recording.pressing(six_axis), noise))
+    rows = np.sort(touched[np.unique(recording.sweep[touched], return_index=True)[1]])
+    force, moment = (part[rows].T for part in recording.reactions(six_axis))
+    down = recording.down()
+    found = inverse.at_ends(
+        force, moment, noise, rod=rod.in_space(), gravity=None if down is None else down[rows].T, in_plane=not six_axis
+    )
+    # of one of all contacts, in the mean of twenty recordings, noise says so wrongly
+    alone = found.chance >= RIGHT_ROWS / len(rows)
+    elsewhere, rows = int((~alone).sum()), rows[alone]
+    if not len(rows):
+        raise NoContactError(
+            f"the recording has no contact: none of its {len(recording)} rows has reactions of a rod that is touched at its end"
+        )
+    axes, length, n = recording.axes()[rows], rod.length_m / scale, len(rows)
+    points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[:, alone].T, axes)
+    pose = recording.noise.pose_m / scale
+    noisy = max(*noise, pose / length) > ROUNDING
+    turned = length**2 * np.einsum("nij,nik,njl->nkl", found.covariance[alone], axes, axes)
+    covariance = turned + pose**2 * np.eye(3)
+    place_sd = np.sqrt(np.linalg.eigvalsh(covariance)[:, 2])
+    unknown = np.full((n, 3), np.nan)
+    return Cloud(
+        points=points,
+        normals=unknown,
+        normal_source=np.full(n, NormalSource.UNKNOWN, dtype=np.int8),
+        in_plane_normals=unknown,
+        phase=np.full(n, planar.Phase.TIP, dtype=np.int8),
+        slice=np.full(n, -1, dtype=np.int32),
+        sweep=recording.sweep[rows].astype(np.int32),
+        row=rows.astype(np.int32),
+        force_N=np.linalg.norm(recording.pressing(six_axis)[rows], axis=1) * rod.force_unit_N,
+        friction=np.full(n, np.nan),
+        slice_axis=np.empty((0, 3)),
+        slice_height=np.empty(0),
+        unit=recording.unit,
+        rod_length=length,
+        noise=float(np.median(place_sd)),
+        covariance=covariance if noisy else None,
+        place_sd=place_sd if noisy else None,
+        normal_sd=np.full(n, np.inf) if noisy else None,
+        second=elsewhere,
+        convex=False,
+        pose_error=recording.noise.place_m / scale,
+        table=None if recording.table_m is None else recording.table_m / scale,
+        model=model,
+        independent=recording.noise.independent,
+        probed=np.ones(n, dtype=bool),
+    )
+
+
+def free_lines(recording: Recording, cloud: Cloud) -> Array:
+    """(m, 2, 3) the lines that the rods of all probings and their ends have passed, in the cloud's unit; none in the body.
+
+    Each goes from the clamp at the first place, or, where something was felt, to the contact.  Where a contact that was felt is
+    not in the cloud, the line ends where the rod's end was before.
+    """
+    rows = np.flatnonzero(recording.in_probings)
+    rows = rows[np.argsort(recording.sweep[rows], kind="stable")]
+    begins = np.flatnonzero(np.diff(recording.sweep[rows], prepend=-1))
+    if not len(rows):
+        return np.empty((0, 2, 3))
+    scale, rod, axes = UNITS_M[recording.unit], recording.rod, recording.axes()
+    pressed = felt(recording.pressing(cloud.model == "spatial"), recording.noise.of_reactions(rod))[rows]
+    number = np.cumsum(np.diff(recording.sweep[rows], prepend=-1) != 0) - 1
+    before: Index = np.cumsum(pressed) - pressed  # rows that felt something, before each
+    free = ~pressed & (before == before[begins][number])
+    count = np.add.reduceat(free.astype(int), begins)
+    first, last = rows[begins], rows[begins + np.maximum(count, 1) - 1]
+    end = (recording.position_m[last] + rod.length_m * axes[last, 1]) / scale
+    probed = np.flatnonzero(np.zeros(len(cloud), dtype=bool) if cloud.probed is None else cloud.probed)
+    end[np.searchsorted(recording.sweep[first], cloud.sweep[probed])] = cloud.points[probed]
+    return np.stack([recording.position_m[first] / scale, end], axis=1)[count > 0]
+
+
+def with_probings(swept: Cloud | None, probed: Cloud) -> Cloud:
+    """The contacts of sweeps, if there are any, and of probings in one cloud; the body counts as one that is not convex."""
+    if swept is None:
+        return probed
+    n, m = len(swept), len(probed)
+    filled: dict[str, Any] = {"normal_sd": np.inf, "recovered": False}
+    columns: dict[str, Any] = {}
+    for name in PER_CONTACT:
+        parts = [getattr(swept, name), getattr(probed, name)]
+        if all(part is None for part in parts):
+            continue
+        like = next(part for part in parts if part is not None)
+        missing = filled.get(name, np.nan)
+        parts = [
+            np.full((count, *like.shape[1:]), missing, dtype=like.dtype) if part is None else part
+            for part, count in zip(parts, (n, m), strict=True)
+        ]
+        columns[name] = np.concatenate(parts)
+    columns["probed"] = np.arange(n + m) >= n
+    calibration = None
+    if swept.calibration is not None or probed.calibration is not None:
+        calibration = RigErrors.joined([swept.calibration, probed.calibration], [n, m])
+    noise = 0.0 if columns.get("place_sd") is None else float(np.median(columns["place_sd"]))
+    second = swept.second + probed.second
+    return replace(swept, **columns, noise=noise, convex=False, second=second, calibration=calibration)

@@ -1,0 +1,191 @@
+"""Probings, simulated: the clamp moves along its own y axis until the force of the rod's end on the body has a given size.
+
+The end first meets the body where the line along the rod crosses its surface.  Where the surface's normal is within the
+friction angle of the rod's axis, the end stays there, and the force is along the rod.  Else the end slides aside: the force is
+on the edge of the friction cone, in the plane of axis and normal, and bends the rod.  The end is then where the line crosses
+the surface that is as far beside as the rod is bent, which is found by iteration.  It ends at once on a plane face; where the
+end comes to a groove, or slips off an edge, it does not, and the probing is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scan3d.arrays import Array, Mask, unit_or_zero
+from scan3d.geometry.crossings import first_met
+from scan3d.geometry.triangles import face_normals
+from scan3d.planning.plan import Plan
+from scan3d.planning.probing import PER_ROUND, Probings, Unknown
+from scan3d.reconstruction import NoContactError
+from scan3d.reconstruction.probings import contacts, free_lines
+from scan3d.recording import Recording, joined
+from scan3d.rods import Rod
+from scan3d.simulation.felt import drawn_friction, recorded
+from scan3d.spatial.bodies import cross
+from scan3d.spatial.march import SpatialRod, ends, free_reactions
+from scan3d.units import UNITS_M
+
+# Rounds of the iteration, and by how much a place changes at its end, in rod lengths.
+_ROUNDS, _SETTLED = 10, 1e-12
+
+
+def probe(
+    mesh: Any, plan: Plan, rod: Rod, swept: Sequence[Recording] = (), progress: Callable[[int, int], None] | None = None
+) -> Recording:
+    """Recording of probings of a closed `trimesh.Trimesh` of any shape, after sweeps that were recorded, if there are any.
+
+    Round after round they go where most is unknown, as contacts and free places tell.  `progress` is called with the number of
+    planes done and of all planes at most.
+    """
+    length, most = rod.length_m / UNITS_M[plan.unit], 2 * plan.slices
+    unknown, recordings, planes = Unknown(mesh.bounds[0], mesh.bounds[1], length, [plan.seed]), list(swept), 0
+    planned = unknown.first_round()
+    while planned.planes:
+        part = recorded_probings(mesh, planned.moves, plan, rod, length, len(recordings))
+        recordings.append(part)
+        planes += planned.planes
+        with suppress(NoContactError):
+            cloud = contacts(part, plan.model)
+            unknown.add(cloud.points, part.axes()[cloud.row, 1], free_lines(part, cloud))
+        if progress is not None:
+            progress(min(planes, most), most)
+        if plan.known and unknown.known() >= plan.known:
+            break
+        planned = unknown.next_round(min(PER_ROUND, most - planes))
+    return joined(recordings)
+
+
+def recorded_probings(mesh: Any, moves: Probings, plan: Plan, rod: Rod, length: float, part: int) -> Recording:
+    """What a rig logs of probings: two samples of each, at its begin and at its end."""
+    n = len(moves.start)
+    friction = drawn_friction(plan.friction_range, n, [plan.seed, 5, part])
+    found = felt_along(
+        mesh, moves, rod, length, friction, plan.stop_force_of(rod), plan.down(moves.axes), plan.model == "planar"
+    )
+    known = found.resolved
+    end = moves.start + found.travel[:, None] * moves.axes[:, 1]
+    position = np.stack([moves.start, end], axis=1)[known].reshape(-1, 3)
+    reactions = np.concatenate([found.force, found.moment], axis=1)
+    wrench = np.stack([found.free, reactions], axis=1)[known].reshape(-1, 6)
+    if plan.gravity is not None and plan.gravity.tared:
+        wrench -= np.repeat(found.free[known], 2, axis=0)
+    wrench = wrench if plan.model == "spatial" else wrench[:, [0, 1, 5]]
+    number = np.repeat(np.arange(int(known.sum())), 2)
+    source = {"convex": False, **({"model": "spatial"} if plan.model == "spatial" else {})}
+    return recorded(plan, rod, moves.axes[known], number, position, wrench, source, part)
+
+
+class Felt(NamedTuple):
+    """What is felt in probings (n,), in units of the rod."""
+
+    travel: Array
+    """(n,) how far the clamp went, in the mesh's unit."""
+    force: Array
+    """(n, 3) support reaction in the clamp's frame at the end."""
+    moment: Array
+    """(n, 3)"""
+    touches: Mask
+    """(n,)"""
+    resolved: Mask
+    """(n,) whether it is known what is felt."""
+    free: Array
+    """(n, 6) support reaction and moment without contact."""
+
+
+def felt_along(
+    mesh: Any,
+    moves: Probings,
+    rod: Rod,
+    length: float,
+    friction: Array,
+    stop: float,
+    gravity: Array | None,
+    planar: bool,
+) -> Felt:
+    """What a rod feels that moves along itself.
+
+    mesh
+        a closed `trimesh.Trimesh` of any shape.
+    length
+        of the rod, in the mesh's unit.
+    friction (n,), stop
+        coefficients of friction, and the size of the contact force, in EI/L², at which the clamp stops.
+    gravity (n, 3)
+        unit vectors in the clamp's frame; None for rods without weight.
+    planar
+        whether the rod stays in the clamp's plane of x and y, as in the planar model.
+    """
+    n, bent = len(moves.start), rod.in_space()
+    down = None if gravity is None else gravity.T
+    weight = np.zeros((3, n)) if down is None else -bent.profile.weight * down
+    in_air = free_reactions(bent, down)[1] if down is not None else np.zeros((3, n))
+    hanging = ends(bent, weight, in_air, down).point
+    normals = face_normals(mesh)
+    point, force, moment = hanging.copy(), weight.copy(), in_air.copy()
+    distance, active = np.full(n, np.inf), np.arange(n)
+    resolved = np.ones(n, dtype=bool)
+    for number in range(_ROUNDS):
+        beside = point[:, active].copy()
+        beside[1] = 0.0
+        start = moves.start[active] + length * np.einsum("in,nij->nj", beside, moves.axes[active])
+        far, face = first_met(mesh, start, moves.axes[active, 1])
+        distance[active] = far
+        met = np.isfinite(far)
+        if number:  # a rod that is bent touches something
+            resolved[active] &= met
+        active, face = active[met], face[met]
+        local = np.einsum("nij,nj->ni", moves.axes[active], normals[face])
+        if planar:
+            local[:, 2] = 0.0
+        pushed = stop * _direction(local, np.arctan(friction[active])).T
+        pulled = None if down is None else down[:, active]
+        force[:, active] = weight[:, active] - pushed
+        before = point[:, active]
+        moment[:, active], point[:, active] = _bent(bent, force[:, active], pulled, before)
+        moved = np.abs(point[:, active] - before)[[0, 2]].max(axis=0, initial=0.0)
+        active = active[moved > _SETTLED]
+        if not len(active):
+            break
+    resolved[active] = False
+    travel = distance - length * point[1]
+    touches = resolved & (travel <= moves.travel) & np.isfinite(distance)
+    # a body that is met at once has been touched before
+    resolved &= ~(touches & (travel < 0))
+    free = np.where(touches, 0.0, 1.0)
+    return Felt(
+        np.where(touches, travel, moves.travel),
+        (free * weight + (1 - free) * force).T,
+        (free * in_air + (1 - free) * moment).T,
+        touches & resolved,
+        resolved,
+        np.concatenate([weight, in_air]).T,
+    )
+
+
+def _direction(normal: Array, friction_angle: Array) -> Array:
+    """(n, 3) unit vectors of the force on a rod along y, as near to its axis as friction lets it be, by normals (n, 3)."""
+    aside = unit_or_zero(normal * [1.0, 0.0, 1.0])
+    tilt = np.arctan2(np.hypot(normal[:, 0], normal[:, 2]), -normal[:, 1])
+    angle = np.maximum(tilt - friction_angle, 0.0)[:, None]
+    return np.asarray(np.sin(angle) * aside - np.cos(angle) * [0.0, 1.0, 0.0])
+
+
+def _bent(rod: SpatialRod, force: Array, gravity: Array | None, near: Array) -> tuple[Array, Array]:
+    """Support moments (3, n) for which the moment at the rod's end vanishes, by support forces (3, n), and the ends (3, n).
+
+    `near` are places (3, n) near the ends.
+    """
+    # that of the contact force at the end; of rods with a weight a start
+    moment = cross(near, force)
+    for _ in range(_ROUNDS):
+        found = ends(rod, force, moment, gravity)
+        # about d1 = z, d2 = x and d3 = y, as the rod is nearly straight
+        change = found.moment[[1, 2, 0]]
+        if not (np.abs(change) > _SETTLED).any():
+            break
+        moment = moment + change
+    return moment, found.point
