@@ -42,6 +42,8 @@ _MARGIN = 0.1
 # Contacts closer than this part of their spacing, or of the thinnest walls, are one corner.  Spacing is that of a lattice as
 # dense, of which random points are seldom so near; half the walls' thickness keeps the corners of both of their sides.
 _MERGED, _OF_WALLS = 0.35, 0.5
+# Contacts that are closer than this part of the diagonal count once for their spacing.
+_CLUSTERED = 1 / 300
 # Neighbours that the spacing and the thickness of walls are taken from, and the share of contacts that may lie at thinner ones:
 # opposite sides of edges are no walls.
 _NEIGHBOURS, _THINNER = 16, 0.005
@@ -77,7 +79,15 @@ class Cut:
     """Distance of neighbouring contacts."""
 
 
-def cut_surface(points: Array, inward: Array, lines: Array, free: Array | None = None) -> Cut:
+def cut_surface(
+    points: Array,
+    inward: Array,
+    lines: Array,
+    free: Array | None = None,
+    *,
+    between: Array | None = None,
+    moved: Array | None = None,
+) -> Cut:
     """The closed surface that contacts and free space leave a body of any shape.
 
     points (n, 3), inward (n, 3)
@@ -85,7 +95,11 @@ def cut_surface(points: Array, inward: Array, lines: Array, free: Array | None =
     lines (m, 2, 3)
         segments that rods have passed.
     free (k, 3)
-        further places that rods have passed.
+        further places that are taken for free.
+    between (j, 3)
+        further places at which the surface may have corners where nothing was touched.
+    moved (n, 3)
+        places of the surface that the contacts are those of, if rods are thick and lines are those of their axes.
 
     Raises InputError for contacts that span no body.
     """
@@ -96,11 +110,12 @@ def cut_surface(points: Array, inward: Array, lines: Array, free: Array | None =
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if thin < _JOGGLE * size * np.sqrt(len(points)):
         raise InputError("the contacts lie in a plane, and span no body; touch it from more sides")
-    spacing, wall = _spacing(points, inward)
+    joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * _CLUSTERED * size
+    spacing, wall = _spacing(joggled, inward, size)
     merged = min(_MERGED * spacing, _OF_WALLS * wall)
-    joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * spacing
     corners = kept_apart(joggled, merged)
-    cells = _Cells.between(joggled[corners], _MARGIN * size)
+    between = np.empty((0, 3)) if between is None else between
+    cells = _Cells.around(np.concatenate([joggled[corners], between]), _MARGIN * size)
     cell, depth = cells.crossed(lines)
     if free is not None:
         inside = cells.at(free)
@@ -111,20 +126,24 @@ def cut_surface(points: Array, inward: Array, lines: Array, free: Array | None =
     behind = cells.at((joggled + merged * np.multiply.outer(_BEHIND, inward)).reshape(-1, 3))
     touched = np.bincount(behind[behind >= 0], minlength=count)
     empty = np.bincount(cell[depth > spacing], minlength=count) > 1
-    empty |= (cells.corners >= len(corners)).any(axis=1)
+    empty |= (cells.corners >= len(corners) + len(between)).any(axis=1)
     faces = _bounded(cells, passed, touched, empty, spacing)
-    vertices, faces = manifold(np.concatenate([points[corners], cells.points[len(corners) :]]), faces, _APART * merged)
+    moved = points if moved is None else moved
+    vertices = np.concatenate([moved[corners], between])
+    vertices, faces = manifold(vertices, faces, _APART * merged)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
     surface = trimesh.Trimesh(vertices, faces, process=False)
     surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")
-    surface.vertex_attributes["known"] = _classes(vertices, faces, points, inward, size)
+    surface.vertex_attributes["known"] = _classes(vertices, faces, moved, inward, size)
     triangles = vertices[faces]
     triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
-    return Cut(surface, Search(triangles).nearest(points)[0] > spacing, spacing)
+    return Cut(surface, Search(triangles).nearest(moved)[0] > spacing, spacing)
 
 
-def _spacing(points: Array, inward: Array) -> tuple[float, float]:
+def _spacing(points: Array, inward: Array, size: float) -> tuple[float, float]:
     """The median distance of neighbouring contacts, and the thickness of the thinnest walls; infinite if none is seen."""
+    chosen = kept_apart(points, _CLUSTERED * size)
+    points, inward = points[chosen], inward[chosen]
     count = min(_NEIGHBOURS, len(points) - 1)
     distance, other = cKDTree(points).query(points, count + 1)
     distance, other = distance[:, 1:], other[:, 1:]
@@ -153,7 +172,7 @@ class _Cells(NamedTuple):
     """(t, 4) of the corners above the faces opposite."""
 
     @classmethod
-    def between(cls, points: Array, margin: float) -> _Cells:
+    def around(cls, points: Array, margin: float) -> _Cells:
         low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
         box = low + (high - low) * np.array(list(np.ndindex(2, 2, 2)))
         # no more than four corners of the box on a sphere
