@@ -101,6 +101,8 @@ def test_the_spatial_model_is_refused_for_bodies_that_are_stated_not_to_be_conve
         **dict.fromkeys(("force_z_N", "moment_x_Nm", "moment_y_Nm"), np.zeros(len(exact))),
     )
     assert hollow.six_axis
-    with pytest.raises(scan3d.InputError, match=r"spatial model is for convex bodies.*choose the planar model"):
+    with pytest.raises(
+        scan3d.InputError, match=r"spatial model bodies that are not convex are probed.*choose the planar model"
+    ):
         scan3d.reconstruct(hollow, model="spatial")
     assert scan3d.reconstruct(hollow).model == "planar"

@@ -415,6 +415,8 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
 # Cells in R at least, and cells around the balls.
 _COARSEST, _AROUND = 4.0, 3
 _EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
+# Part of R by which a body may differ from a union of balls: edges of up to 11 degrees, as meshes of smooth bodies have.
+_SMOOTH = 0.005
 # Contacts at which two balls are sought, evenly over the recording: a hundredth of a second each.
 _TESTED = 400
 
@@ -436,7 +438,7 @@ class Reach:
 
 
 def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> Reach:
-    """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices together.
+    """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices and probings.
 
     surface
         a closed `trimesh.Trimesh` that the bound is for; None: any between the two bodies.
@@ -445,11 +447,17 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     """
     if not (np.isfinite(R) and R > 0):
         raise InputError(f"the reach must be a positive number, got {R}")
-    touched = cloud.fattened or cloud
-    sheets = sheets_of(recording, touched, R)
-    touched = touched.select(~contradicted(sheets, touched))
-    contacts, errors = touched.points, place_errors(touched)
-    free = np.concatenate([_free_places(sheet) for sheet in sheets])
+    touched, sheets = cloud.fattened or cloud, list[Sheets]()
+    number = np.flatnonzero(~recording.in_probings)
+    if len(swept := touched.swept()):
+        swept = with_rows(swept, number)
+        sheets = sheets_of(of_rows(recording, number), swept, R)
+        wrong = np.zeros(len(touched), dtype=bool)
+        wrong[np.flatnonzero(~touched.probed) if touched.probed is not None else ...] = contradicted(sheets, swept)
+        touched = touched.select(~wrong)
+    contacts, errors = touched.points, place_errors(touched) + _SMOOTH * R
+    along, aside = _along_lines(recording, cloud, R)
+    free = np.concatenate([*(_free_places(sheet) for sheet in sheets), along])
     grid = _Grid.around(contacts, R)
     if grid.step * _COARSEST > R:
         raise InputError(
@@ -457,7 +465,7 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
             f"{length(_COARSEST * grid.step, cloud.unit)}"
         )
     error = float(errors.max())
-    of_free = max(sheet.cell for sheet in sheets) / np.sqrt(2) + error
+    of_free = max([aside, *(sheet.cell / np.sqrt(2) for sheet in sheets)]) + error
     half = grid.step * np.sqrt(3) / 2
     level = R + half + grid.curvature(R)
     to_contact = grid.distance(contacts)
@@ -476,9 +484,8 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     inner = _below(-to_air, -level, grid)
     # those of a body that is grown by the rod's radius leave so much less room to the surroundings
     thick = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit] if cloud.fattened is not None else 0.0
-    lost = _without_balls(
-        contacts, errors, np.concatenate([_thinned(sheet, R) for sheet in sheets]), of_free, R, R - thick
-    )
+    thinned = np.concatenate([*(_thinned(sheet, R) for sheet in sheets), along])
+    lost = _without_balls(contacts, errors, thinned, of_free, R, R - thick)
     against = {
         "contacts lie where no two balls of this radius touch": lost,
         "contacts lie outside the outer body": ~grid.within(in_body, contacts, R + half + errors),
@@ -530,6 +537,29 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     return Reach(outer, inner, bound, refuted, unbounded)
 
 
+def _along_lines(recording: Recording, cloud: Cloud, R: float) -> tuple[Array, float]:
+    """(n, 3) places on the lines that rods of probings have passed, a quarter of R apart, and how far rods were from them.
+
+    A rod whose end slides aside is bent by as much as the line to its contact leaves the clamp's axis.
+    """
+    lines = free_lines(recording, cloud)
+    if not len(lines):
+        return np.empty((0, 3)), 0.0
+    low, high = cloud.points.min(axis=0) - 2 * R, cloud.points.max(axis=0) + 2 * R
+    step = lines[:, 1] - lines[:, 0]
+    reach = np.linalg.norm(step, axis=1)
+    count = np.ceil(4 * reach / R).astype(np.intp) + 1
+    line, rank = ranges(count)
+    # backwards from the end, which a contact may have
+    places = lines[line, 1] - (rank / np.maximum(count - 1, 1)[line])[:, None] * step[line]
+    aside = 0.0
+    if cloud.probed is not None and cloud.probed.any():
+        axes, scale = recording.axes()[cloud.row[cloud.probed]], UNITS_M[cloud.unit]
+        offset = cloud.points[cloud.probed] - recording.position_m[cloud.row[cloud.probed]] / scale
+        aside = float(np.linalg.norm(np.einsum("nij,nj->ni", axes[:, [0, 2]], offset), axis=1).max())
+    return places[((places > low) & (places < high)).all(axis=1)], aside
+
+
 def _without_balls(points: Array, errors: Array, free: Array, of_free: float, R: float, outside: float) -> Mask:
     """Contacts (n,) at which no ball of radius R without free places (m, 3) touches one of radius `outside` without contacts.
 
@@ -574,15 +604,18 @@ def _open(grid: _Grid, leaks: Mask, sheets: list[Sheets], touched: Cloud, R: flo
         if np.take(leaks, end, axis=axis).any()
     ]
     # the slices of no axis go past both ends of the body
-    ends = [{0, len(sheet.height) - 1} & {*sheet.number[touched.slice].tolist()} for sheet in sheets]
+    filled = touched.slice[touched.slice >= 0]
+    ends = [{0, len(sheet.height) - 1} & {*sheet.number[filled].tolist()} for sheet in sheets]
     gap = np.zeros(len(places))
     for sheet in sheets:
         if len(sheet.height) > 1:
             above = np.clip(np.searchsorted(sheet.height, places @ sheet.frame[2]), 1, len(sheet.height) - 1)
             gap = np.maximum(gap, np.diff(sheet.height)[above - 1])
-    apart = float(gap.max())
+    apart = float(gap.max(initial=0.0))
     if why:
         pass
+    elif not sheets:
+        why = "probings leave places out; probe in more planes, or take a larger reach"
     elif all(ends):
         why = (
             "no slice without contact lies beyond the body's end; add slices past its ends, or scan along further axes"

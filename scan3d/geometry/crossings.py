@@ -20,6 +20,9 @@ def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index
     A line meets a face in its edges and corners as well.  On which side of an edge a line passes is computed alike for both
     faces of the edge, so that none passes between them.  Faces along the lines are met at their edges, which others share.
     """
+    distance, face = np.full(len(start), np.inf), np.full(len(start), -1)
+    if not len(start):
+        return distance, face
     frame = _frame(start, along)
     centre = mesh.bounds.mean(axis=0)
     corners, lines = (mesh.vertices.view(np.ndarray) - centre) @ frame.T, (start - centre) @ frame.T
@@ -29,7 +32,6 @@ def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index
     height = corners[faces, 1]
     first = np.searchsorted(level, height.min(axis=1))
     count = np.searchsorted(level, height.max(axis=1), side="right") - first
-    distance, face = np.full(len(start), np.inf), np.full(len(start), -1)
     near = np.flatnonzero(count)
     blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE, count.sum(), AT_ONCE))
     for some in np.split(near, np.unique(blocks)):
