@@ -116,6 +116,9 @@ class Recording(Shown):
     """Standard deviation of the moment, likewise."""
     noise_pose_m: float = 0.0
     """Standard deviation of each coordinate of the clamp's position, independent from row to row, likewise."""
+    noise_independent: bool = True
+    """Whether the noise of force and moment is independent from row to row.  That of values which a filter smoothed is not, nor
+    is that of a converter whose steps are coarser than the noise."""
     unit: str = "mm"
     """Unit in which clouds and surfaces made from this recording are written."""
     table_m: float | None = None
@@ -503,6 +506,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         columns += SIX_AXES
     else:
         values |= dict.fromkeys(SIX_AXES)
+    values["noise_independent"] = all(recording.noise_independent for recording in recordings)
     values |= {name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns}
     rig = one_rig([recording.rig for recording in recordings])
     return replace(last, sweep=np.concatenate(numbers), **values, rig=rig)

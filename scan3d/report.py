@@ -104,6 +104,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             "stated_force_N": recording.noise_force_N,
             "stated_moment_Nm": recording.noise_moment_Nm,
             "stated_pose_m": recording.noise_pose_m,
+            "independent": cloud.independent,
             "contact_median": cloud.noise,
         },
         **_calibration(recording, cloud),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import MESHES
+from scipy.signal import lfilter
 
 import planar
 import scan3d
@@ -17,7 +18,9 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.errors import independent
 from scan3d.reconstruction.slices import stacks
+from scan3d.simulation.rig import pink_noise
 from scan3d.surfaces import enclosure
 
 
@@ -127,6 +130,51 @@ def test_means_of_rounded_numbers_are_no_more_accurate():
     by_means = enclosure(dataclasses.replace(cloud, independent=True)).inner
     assert nearest(np.asarray(by_means.vertices), mesh)[0].max() > 0
     assert len(averages_of(cloud.points, None, np.ones(len(cloud)), 5.0).kappa) == 0
+
+
+def with_errors(recording, errors):
+    """The recording of a plane with other errors (n, 3) of force and moment, in their standard deviations."""
+    sd = np.array([recording.noise_force_N] * 2 + [recording.noise_moment_Nm])
+    return dataclasses.replace(
+        recording,
+        force_N=recording.force_N + sd[:2] * errors[:, :2],
+        moment_Nm=recording.moment_Nm + sd[2] * errors[:, 2],
+    )
+
+
+@functools.cache
+def exact_with_stated(noise=1e-3):
+    """A right recording without errors that states noise, with rows before its touches."""
+    mesh, noisy, _ = scanned("egg.stl", noise, slices=8, samples=200, clearance=0.6)
+    exact = scanned("egg.stl", 0.0, slices=8, samples=200, clearance=0.6)[1]
+    return mesh, dataclasses.replace(exact, noise_force_N=noisy.noise_force_N, noise_moment_Nm=noisy.noise_moment_Nm)
+
+
+SHARED = {
+    "1/f noise": lambda white, draw: np.stack([pink_noise(len(white), draw) for _ in range(3)], axis=1),
+    "a low-pass": lambda white, draw: 2 * lfilter([0.25], [1, -0.75], white, axis=0),
+    "a zero off": lambda white, draw: white + np.array([0.5, 0.5, -0.5]),
+}
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_errors_that_successive_rows_share_are_seen_in_the_air(name):
+    """Their means were taken for those of independent ones: with 1/f noise the inner body stood out of the true one."""
+    mesh, exact = exact_with_stated()
+    draw = np.random.default_rng(4)
+    cloud = contacts(with_errors(exact, SHARED[name](draw.standard_normal((len(exact), 3)), draw)))
+    assert not cloud.independent
+    assert nearest(np.asarray(enclosure(cloud).inner.vertices), mesh)[0].max() <= 0
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_independent_errors_are_taken_for_independent(noise):
+    """Touches too light to be felt, of which large noise hides many, are no errors, nor is a wild value."""
+    _, exact = exact_with_stated(noise)
+    for seed in range(20):
+        errors = np.random.default_rng(seed).standard_normal((len(exact), 3))
+        errors[7 * seed] *= 30
+        assert independent(with_errors(exact, errors))
 
 
 def test_the_part_of_a_polygon_beyond_a_line():

@@ -229,6 +229,18 @@ def test_air_that_is_not_there(tmp_path):
         import_table(put(tmp_path, lines()), without | {"tare": {"air": [[0.0, 0.1]]}})
 
 
+def test_sweeps_that_the_filter_blurs_are_named(tmp_path):
+    table = log()
+    table[:, 8:] = 0.0
+    table[34:37, [8, 9, 13]] = [-0.2, 0.05, 5.0]
+    sweep = np.full(len(table), -1)
+    sweep[33:38] = 0
+    rows = [f"{row},{number}" for row, number in zip(lines(table, ""), sweep.tolist(), strict=True)]
+    made = changed("columns", sweep="sweep") | {"filter": {"lowpass_hz": 5.0}}
+    with pytest.raises(InputError, match=r"no row of a sweep that can be used: the filter blurs all.*raise lowpass_hz"):
+        import_table(put(tmp_path, [f"{HEADER},sweep", *rows]), made)
+
+
 def changed(section, **entries):
     made = data()
     made[section] = made.get(section, {}) | entries

@@ -48,7 +48,7 @@ def same(a, b):
 SIX = dict(
     force_z_N=np.array([0.1, -0.2, 1 / 3]), moment_x_Nm=np.array([1e-3, 2 / 3, 0.0]), moment_y_Nm=np.full(3, 1e-9)
 )
-NOISE = dict(noise_force_N=0.1 / 3, noise_moment_Nm=1e-9 / 3)
+NOISE = dict(noise_force_N=0.1 / 3, noise_moment_Nm=1e-9 / 3, noise_independent=False)
 SOURCE = dict(unit="um", source={"rig": 'No. 3 "old"', "seed": 4, "µ": [0.1, 0.2]})
 
 

@@ -63,6 +63,7 @@ def test_recordings_are_joined_with_one_calibration():
     one = random_recording(rig=typical())
     assert joined([one, random_recording(rig=typical())]).rig == typical()
     assert joined([random_recording(), random_recording(noise_pose_m=2e-5)]).noise_pose_m == 2e-5
+    assert not joined([random_recording(), random_recording(noise_independent=False)]).noise_independent
     for other in (None, typical(2.0)):
         with pytest.raises(
             InputError, match=r"corrected by another calibration than those before, or only one of them"

@@ -162,6 +162,15 @@ def test_a_fault_at_random_is_named_and_nothing_certified_is_false(name, of_log,
         assert found.named, found.said
 
 
+def test_a_log_of_which_only_repeated_rows_can_be_read_is_refused(log):
+    """The places before the sensor stopped are none: what is left of the log was not measured."""
+    rows = rows_of(log[1])
+    stopped = np.arange(len(rows.pose)) > len(rows.pose) // 2
+    pose = np.where(stopped[:, None], rows.pose, 1e200)
+    with pytest.raises(InputError, match=r"no row that was measured: .*the sensor stopped"):
+        imported(log[1], Rows(pose, kept(rows.wrench, stopped)))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("zero", [True, False])

@@ -187,10 +187,12 @@ def _of_noise(recording: Recording, cloud: Cloud) -> Premise:
     noise, left = recording.noise, cloud.left_out
     if not max(noise.force_N, noise.moment_Nm, noise.pose_m):
         assumed = "reactions without noise"
-    elif left is None:
-        assumed = "white noise of the stated size" + (", without wild rows" if cloud.model == "spatial" else "")
     else:
-        assumed = f"white noise of at most {number(left.factor)} times the stated size, but for single wild rows"
+        kind = "white noise" if cloud.independent else "noise, alike in successive rows or not,"
+        if left is None:
+            assumed = f"{kind} of the stated size" + (", without wild rows" if cloud.model == "spatial" else "")
+        else:
+            assumed = f"{kind} of at most {number(left.factor)} times the stated size, but for single wild rows"
     air = noise_in_air(recording)
     if not air.rows:
         return Premise(assumed, False, "not tested: of the noise the contacts tell nothing that the body could not")

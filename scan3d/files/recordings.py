@@ -83,7 +83,8 @@ def recording_files(
     meta: dict[str, Any] = {"schema": SCHEMA, "unit": recording.unit}
     if recording.table_m is not None:
         meta[TABLE] = recording.table_m
-    meta |= {"rod": rod, "noise": noise | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})}
+    noise |= {"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {}
+    meta |= {"rod": rod, "noise": noise | ({} if recording.noise_independent else {"independent": False})}
     if recording.gravity is not None:
         meta["gravity"] = {"direction": recording.gravity.direction, "tared": recording.gravity.tared}
     if (told := recording.completed) is not None:
@@ -141,6 +142,7 @@ def read_recording(path: str | Path) -> Recording:
     missing = [channel for channel, name in REACTIONS.items() if name not in values]
     noise = meta.section("noise")
     force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
+    independent = noise.boolean("independent", True)
     rig, of_rig = None, meta.section("rig")
     if "rig" in meta:
         quantities, exact = of_rig.texts("quantities"), of_rig.texts("exact")
@@ -169,6 +171,7 @@ def read_recording(path: str | Path) -> Recording:
             noise_force_N=force,
             noise_moment_Nm=moment,
             noise_pose_m=pose,
+            noise_independent=independent,
             **known,
         )
         return completed(recording)[0] if missing else recording

@@ -34,7 +34,17 @@ from scan3d.laboratory.logs import (
 )
 from scan3d.laboratory.maps import ORIENTATION_OF, WRENCH_IN, Map, read_map
 from scan3d.laboratory.signals import Stretches, find_air, given_air, robust_sd, tare
-from scan3d.recording import CHANNELS, FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Recording, completed, reaction_columns
+from scan3d.recording import (
+    CHANNELS,
+    FORCE,
+    FORCE_SIGMAS,
+    IN_PLANE,
+    REACTIONS,
+    Recording,
+    completed,
+    reaction_columns,
+    rounding_sd,
+)
 from scan3d.rigs import Frame, euler_of, wrench_matrix
 from scan3d.spatial import inverse
 from scan3d.units import share
@@ -212,11 +222,16 @@ def _converted(table: Table, map: Map) -> Imported:
         wrench[backwards] *= np.tile(signs, 2)
     within = np.flatnonzero((sweep >= 0) & ~sensed.blurred & measured)
     if not len(within):
-        reason = "; ".join(log.notes) or "the filter blurs all of them"
-        raise InputError(f"{table.name} has no row of a sweep that can be used: {reason}")
+        raise InputError(
+            f"{table.name} has no row of a sweep that can be used: the filter blurs all that were measured; raise "
+            f"lowpass_hz of {map.name}, or leave [filter] out"
+        )
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[signals.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
+    recording = _with_steps(
+        recording, _in_clamp(np.array([rounding_sd(column) for column in log.wrench.T]), map, known)
+    )
     count = len(kept)
     if recording.completed is not None:
         recording, single = completed(recording)
@@ -253,8 +268,8 @@ def _converted(table: Table, map: Map) -> Imported:
         ringing=int(sensed.ringing.sum()),
         zero=tuple(sensed.zero.mean(axis=0).tolist()),
         drift=tuple(np.ptp(sensed.zero, axis=0).tolist()),
-        noise_force_N=noise[0],
-        noise_moment_Nm=noise[1],
+        noise_force_N=recording.noise_force_N,
+        noise_moment_Nm=recording.noise_moment_Nm,
         noise_factor=sensed.factor,
         notes=(*notes, *_contact_notes(wrench[kept], touching, known | recording.six_axis, map)),
     )
@@ -416,12 +431,34 @@ def _clamp_wrench(wrench: Array, present: Mask, map: Map, where: str) -> tuple[A
 
 
 def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
-    """Standard deviations of force and moment in the clamp's frame: the largest of their channels."""
-    variance = wrench_matrix(map.sensor.turn, map.sensor.position_m) ** 2 @ noise**2
+    """Standard deviations of force and moment in the clamp's frame, as stated or as found."""
+    force, moment = _in_clamp(noise, map, known)
+    return (
+        force if map.noise_force_N is None else map.noise_force_N,
+        moment if map.noise_moment_Nm is None else map.noise_moment_Nm,
+    )
+
+
+def _in_clamp(deviations: Array, map: Map, known: Mask) -> tuple[float, float]:
+    """Standard deviations (6,) of the sensor's channels in the clamp's frame: the largest of the force, and of the moment."""
+    variance = wrench_matrix(map.sensor.turn, map.sensor.position_m) ** 2 @ deviations**2
     deviation = np.sqrt(np.where(known, variance, 0.0))
-    force = float(deviation[:3].max()) if map.noise_force_N is None else map.noise_force_N
-    moment = float(deviation[3:].max()) if map.noise_moment_Nm is None else map.noise_moment_Nm
-    return force, moment
+    return float(deviation[:3].max()), float(deviation[3:].max())
+
+
+def _with_steps(recording: Recording, rounding: tuple[float, float]) -> Recording:
+    """The recording with the rounding of the sensor's force and moment, which taring and turning hide in its columns."""
+    noise = recording.noise
+    stated, counted = (recording.noise_force_N, recording.noise_moment_Nm), (noise.force_N, noise.moment_Nm)
+    # noise of half a step makes the errors of rounding independent, and what is found in the air has them then
+    hidden = [deviation < 3**0.5 * step for deviation, step in zip(stated, rounding, strict=True)]
+    if not any(hidden):
+        return recording
+    force, moment = (
+        deviation if not coarse or known >= 0.99 * np.hypot(deviation, step) else float(np.hypot(deviation, step))
+        for deviation, step, known, coarse in zip(stated, rounding, counted, hidden, strict=True)
+    )
+    return replace(recording, noise_force_N=force, noise_moment_Nm=moment, noise_independent=False)
 
 
 def _sweeps(

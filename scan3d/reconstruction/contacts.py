@@ -25,6 +25,7 @@ from scan3d.reconstruction.errors import (
     NoContactError,
     contact_tolerance,
     felt,
+    independent,
     tip_sigmas,
     tip_tolerance,
     too_light,
@@ -145,7 +146,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         pose_error=known.place_m / scale,
         tilt=None if slices.tilt is None else slices.tilt.scaled(1 / scale),
         table=None if recording.table_m is None else (recording.table_m - radius) / scale,
-        independent=known.independent,
+        independent=independent(recording),
         tapered=rod.tapered,
     )
     cloud = replace(cloud, lever=radius / scale * (1 / np.cos(_steepest(cloud)) - 1))
@@ -338,7 +339,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         tangent_sd=tangent_sd,
         tangents=np.einsum("ni,nij->nj", found.tangent[rows], axes),
         bending_angle=found.bending_angle[rows],
-        independent=recording.noise.independent,
+        independent=independent(recording),
     )
 
 

@@ -20,7 +20,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import chdtrc, ndtr
 
 import planar
 from scan3d.arrays import AT_ONCE, MEDIAN_OF_NORMAL, Array, Index, Mask
@@ -30,7 +30,7 @@ from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
 from scan3d.rigs import GAINS, RIG_QUANTITIES, RigErrors, displaced
 from scan3d.spatial import inverse
-from scan3d.spatial.march import reshaped
+from scan3d.spatial.march import free_reactions, reshaped
 
 LARGEST_TOLERANCE = 0.5
 """Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
@@ -38,6 +38,10 @@ SIGMAS = 5.0
 """Standard deviations by which noise or calibration may put a contact at the tip, or into what another sweep has passed."""
 # Which reactions each model reads, of the six.
 _REACTIONS = {"planar": IN_PLANE, "spatial": np.arange(6)}
+SUMMED = (4, 16, 64)
+"""Successive rows in the air whose sums tell whether their errors are independent; those of bounds are over as many."""
+DEPENDENT = 1e-4
+"""Probability with which sums of one size of independent errors are taken for those of dependent ones, which widens bounds."""
 RIGHT_ROWS = 0.05
 """Right rows that are left out in a recording, in the mean, if each is judged once: fewer, and wild rows are not seen that make
 bounds false; more, and all bounds are widened for nothing."""
@@ -98,6 +102,45 @@ def noise_in_air(recording: Recording) -> Air:
     chance = float(2 * found.size * ndtr(-found.max()))
     size = None if chance >= RIGHT_ROWS else max(1.0, float(np.median(found)) / MEDIAN_OF_NORMAL)
     return Air(len(found), size, chance)
+
+
+def independent(recording: Recording) -> bool:
+    """Whether the errors of successive rows are independent, so that means over rows are more accurate than single rows.
+
+    Of independent noise the sum of m rows in the air has √m times the standard deviation of a row.  Drift, 1/f noise, a filter,
+    and steps of a converter that taring moved off their grid leave larger sums.  A touch that is too light to be felt has a
+    force along -x and a moment about z: only sums of the other sign count, whose squares have the distribution χ² whatever
+    touches.
+    """
+    if not (recording.noise.independent and recording.noise_independent):
+        return False
+    noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
+    force, moment = recording.reactions(recording.six_axis)
+    if (down := recording.down()) is not None:
+        of_weight = free_reactions(recording.rod.in_space(), down.T)
+        force, moment = force - of_weight[0].T, moment - of_weight[1].T
+    air, sweep = ~felt(recording.pressing(recording.six_axis)[order], noise), recording.sweep[order]
+    size = noise_in_air(recording).size or 1.0
+    # a single wild value is no error that successive rows have in common
+    away = [
+        np.clip(values[order] / (size * sd), -3.0, 3.0)
+        for values, sd in ((force[:, 0], noise[0]), (-moment[:, 2], noise[1]))
+        if sd > 0
+    ]
+    start = np.flatnonzero(np.append(True, (np.diff(sweep) != 0) | (np.diff(air.astype(np.int8)) != 0)))
+    run = np.repeat(np.diff(np.append(start, len(air))), np.diff(np.append(start, len(air))))
+    within = np.arange(len(air)) - np.repeat(start, run[start])
+    for rows in (*SUMMED, run):
+        first = np.flatnonzero(air & (within % rows == 0) & (within + rows <= run))
+        last = first + np.broadcast_to(rows, len(air))[first]
+        found = [np.cumsum(np.append(0.0, values)) for values in away]
+        sums = np.concatenate(
+            [(total[last] - total[first]) / np.sqrt(last - first) for total in found] or [np.empty(0)]
+        )
+        larger = sums[sums > 0]
+        if len(larger) and chdtrc(len(larger), (larger**2).sum()) < DEPENDENT:
+            return False
+    return True
 
 
 class Effects(NamedTuple):

@@ -100,10 +100,7 @@ def paused(rows, draw):
 
 
 RIGHT = ("none", "coarse")
-"""No fault: a good rig, and one with the steps of a converter, 1/f noise, a drift that wanders, lag, jitter and lost rows.
-
-The map of the second one states neither lag nor jitter, which certificates do not allow for: only its notes count.
-"""
+"""No fault: a good rig, and one with the steps of a converter, 1/f noise, a drift that wanders, lag, jitter and lost rows."""
 FAULTS = {
     "none": (lambda rows, draw: rows, ()),
     "coarse": (lambda rows, draw: rows, ("keeps", "saturates", "jumps", "the poses change", "is held")),
@@ -176,7 +173,7 @@ def outcome(seed, name, of_log):
     said = [*notes, *(missing.words if missing else ()), *(warning.message for warning in analysis.warnings)]
     said += [analysis.diagnosis.message] if analysis.diagnosis else []
     certified = bool(np.isfinite(analysis.certificate.bound))
-    false = [] if analysis.warnings or name == "coarse" else false_statements(mesh, analysis)
+    false = [] if analysis.warnings else false_statements(mesh, analysis)
     return Outcome(false, any(word in text for word in words for text in said), certified, " | ".join(said))
 
 
