@@ -22,7 +22,7 @@ def six_axis(recording):
 
 
 def displaced(recording, error, gains=(0.0,) * 6, sensor=(0.0,) * 6):
-    """The recording as a rig with an error (18,) of `RIG_QUANTITIES` gives it; finite, by rotations.
+    """The recording as a rig with an error (18,) of `RIG_QUANTITIES` but the weight gives it; finite, by rotations.
 
     Gains (6,) belong to a sensor with a place in m and Euler angles in degrees.
     """
@@ -42,13 +42,15 @@ def displaced(recording, error, gains=(0.0,) * 6, sensor=(0.0,) * 6):
     pose = Rotation.from_quat(recording.quaternion, scalar_first=True)
     rod = recording.rod
     moved = with_wrench(recording, force, moment)
+    length, stiffness = rod.length_m * float(1 + error[1]), rod.bending_stiffness_Nm2 * float(np.exp(error[0]))
+    shape = {"curvature_per_m": (*np.array(error[15:17]).tolist(), 0.0)} if np.any(error[15:17]) else {}
+    if error[14]:
+        stiffness = ((0.0, stiffness), (length, stiffness * float(np.exp(4 * error[14]))))
     return replace(
         moved,
         position_m=recording.position_m + pose.apply(error[2:5]),
         quaternion=(pose * Rotation.from_rotvec(error[5:8])).as_quat(scalar_first=True),
-        rod=scan3d.Rod(
-            rod.length_m * (1 + error[1]), rod.bending_stiffness_Nm2 * float(np.exp(error[0])), rod.diameter_m
-        ),
+        rod=scan3d.Rod(length, stiffness, rod.diameter_m, **shape),
     )
 
 
