@@ -162,6 +162,18 @@ def test_a_fault_at_random_is_named_and_nothing_certified_is_false(name, of_log,
         assert found.named, found.said
 
 
+def test_steps_that_taring_hides_are_stated(log):
+    """Of a sensor whose steps are ten times its noise, the air tells little of the errors in contact, and these are shared."""
+    _, logged_ = log
+    rows = rows_of(logged_)
+    fine = imported(logged_, rows)[0]
+    step = 10 * np.repeat([fine.noise_force_N, fine.noise_moment_Nm], 3)
+    coarse = imported(logged_, rows._replace(wrench=step * np.round(rows.wrench / step)))[0]
+    assert (fine.noise_independent, coarse.noise_independent) == (True, False)
+    assert coarse.noise.force_N >= 0.99 * step[0] / 12**0.5
+    assert coarse.noise.moment_Nm >= 0.99 * step[3] / 12**0.5
+
+
 def test_a_log_of_which_only_repeated_rows_can_be_read_is_refused(log):
     """The places before the sensor stopped are none: what is left of the log was not measured."""
     rows = rows_of(log[1])

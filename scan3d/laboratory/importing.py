@@ -229,9 +229,7 @@ def _converted(table: Table, map: Map) -> Imported:
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[signals.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
-    recording = _with_steps(
-        recording, _in_clamp(np.array([rounding_sd(column) for column in log.wrench.T]), map, known)
-    )
+    recording = _with_steps(recording, _in_clamp(_rounding(log.wrench), map, known))
     count = len(kept)
     if recording.completed is not None:
         recording, single = completed(recording)
@@ -444,6 +442,14 @@ def _in_clamp(deviations: Array, map: Map, known: Mask) -> tuple[float, float]:
     variance = wrench_matrix(map.sensor.turn, map.sensor.position_m) ** 2 @ deviations**2
     deviation = np.sqrt(np.where(known, variance, 0.0))
     return float(deviation[:3].max()), float(deviation[3:].max())
+
+
+def _rounding(wrench: Array) -> Array:
+    """(6,) standard deviations of the rounding of channels (n, 6) whose values repeat, as those of a converter do.
+
+    Without noise, a drift at even times lies on a grid as well.
+    """
+    return np.array([rounding_sd(column) if 2 * len(np.unique(column)) < len(column) else 0.0 for column in wrench.T])
 
 
 def _with_steps(recording: Recording, rounding: tuple[float, float]) -> Recording:

@@ -128,8 +128,8 @@ def independent(recording: Recording) -> bool:
         if sd > 0
     ]
     start = np.flatnonzero(np.append(True, (np.diff(sweep) != 0) | (np.diff(air.astype(np.int8)) != 0)))
-    run = np.repeat(np.diff(np.append(start, len(air))), np.diff(np.append(start, len(air))))
-    within = np.arange(len(air)) - np.repeat(start, run[start])
+    count = np.diff(np.append(start, len(air)))
+    within, run = np.arange(len(air)) - np.repeat(start, count), np.repeat(count, count)
     for rows in (*SUMMED, run):
         first = np.flatnonzero(air & (within % rows == 0) & (within + rows <= run))
         last = first + np.broadcast_to(rows, len(air))[first]
