@@ -418,10 +418,10 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     sweeps = f"{counts['sweeps'] - probings} sweeps in {where}" if counts["sweeps"] > probings else ""
     sweeps = " and ".join(filter(None, [sweeps, f"{probings} probings" if probings else ""]))
     heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {sweeps}"
+    of_hull = f" from the {HULL_OF_MESH}" if rows else ""
     if probings:
         rows.append(("contacts", heading))
         heading = touched(data["coverage"], data["certificate"]["unit"])
-    of_hull = f" from the {HULL_OF_MESH}" if rows else ""
     if errors:
         rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)

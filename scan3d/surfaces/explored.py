@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.bounds.free_space import passed_lines
+from scan3d.bounds.free_space import contradicted, outer_contours, passed_lines, sheets_of
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.crossings import first_crossings
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import face_normals
 from scan3d.poses import AWAY
-from scan3d.reconstruction.contacts import into_body
-from scan3d.recording import Recording
+from scan3d.reconstruction.contacts import into_body, with_rows
+from scan3d.recording import Recording, of_rows
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.surfaces.carved import Carved, coverage_of
 from scan3d.surfaces.cut import TOUCHED, cut_surface
@@ -37,7 +37,18 @@ def explored(recording: Recording, cloud: Cloud) -> Carved:
     if patches:
         for patch, reason in zip(patches, _reasons(found.surface, patches, cloud, size), strict=True):
             patch["reason"] = reason
-    return Carved(found.surface, np.inf, TOUCHED * size, coverage)
+    return Carved(found.surface, _contours_bound(recording, cloud), TOUCHED * size, coverage)
+
+
+def _contours_bound(recording: Recording, cloud: Cloud) -> float:
+    """That of the outer contours in the planes in which the rod was swept; infinite if there are none."""
+    number, swept = np.flatnonzero(~recording.in_probings), cloud.swept()
+    if not len(swept):
+        return np.inf
+    part, swept = of_rows(recording, number), with_rows(swept, number)
+    sheets = sheets_of(part, swept)
+    kept = swept.select(~contradicted(sheets, swept))
+    return float(outer_contours(sheets, kept).distance.max(initial=0.0)) if len(kept) else np.inf
 
 
 def _reasons(surface: Any, patches: list[dict[str, Any]], cloud: Cloud, size: float) -> list[str]:
