@@ -116,7 +116,7 @@ def scanned(tmp_path_factory):
     """A scan of an L, and its folder."""
     folder = tmp_path_factory.mktemp("scans") / "out"
     with undrawn():
-        return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4"), folder
+        return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4", probing="off"), folder
 
 
 @pytest.mark.slow
@@ -151,7 +151,7 @@ def test_noisy_contacts_lie_as_far_from_a_body_that_is_not_convex_as_their_error
 def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
     """All contacts lie on the body then, and the rods of those that were recovered prove no free space."""
     mesh = letter_l()
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=2, friction=0.3))
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=2, friction=0.3, probing="off"))
     cloud = scan3d.reconstruct(recording)
     assert np.abs(nearest(cloud.points, mesh)[0]).max() < 1e-9 * cloud.rod_length
     assert cloud.recovered.sum() >= 3
@@ -174,7 +174,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
     outline = 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.where(np.arange(32) % 2, 0.978, 1.0)[:, None]
     mesh = plate(outline, 10)
     assert mesh.is_volume
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=1, sweeps=6, friction=(0.0, 0.4)))
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=1, sweeps=6, friction=(0.0, 0.4), probing="off"))
     cloud = scan3d.reconstruct(recording)
     assert cloud.second > 0
     assert (np.abs(nearest(cloud.points, mesh)[0]) > 1e-9 * cloud.rod_length).mean() <= 0.005
@@ -184,7 +184,8 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
 def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing():
     """The first row in which a rod touched two legs of a table gave a contact, a quarter of the rod's length off."""
     mesh = trimesh.util.concatenate([block(4, 4, 8, x, y, 0) for x in (-16, 16) for y in (-11, 11)])
-    plan = scan3d.Plan(slices=1, sweeps=6, samples=64, friction=(0.0, 0.4), rod=scan3d.Rod.of_length(0.0505))
+    rod = scan3d.Rod.of_length(0.0505)
+    plan = scan3d.Plan(slices=1, sweeps=6, samples=64, friction=(0.0, 0.4), rod=rod, probing="off")
     recording = scan3d.simulate(mesh, plan)
     cloud = scan3d.reconstruct(recording)
     assert len(cloud) > 300
@@ -220,9 +221,9 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
     with pytest.raises(scan3d.InputError, match="make the surface that the rods carve by"):
         scan3d.surface(result.cloud)
     for plan in (
-        scan3d.Plan(model="spatial"),
+        scan3d.Plan(model="spatial", probing="off"),
         scan3d.Plan(tolerance=1e-3),
-        scan3d.Plan(rod=scan3d.Rod(2.0, 1e-4, tip_diameter_m=1e-4, diameter_m=2e-4)),
+        scan3d.Plan(rod=scan3d.Rod(2.0, 1e-4, tip_diameter_m=1e-4, diameter_m=2e-4), probing="off"),
     ):
         with pytest.raises(scan3d.InputError, match="not convex"):
             scan3d.simulate(letter_l(), plan)

@@ -320,3 +320,40 @@ def test_a_rig_probes_a_body_round_after_round():
         assert above.min() >= session.plan.space().floor - 1e-6
     assert known[0] < known[1] < known[2]
     assert "of the surface touched" in session.known
+
+
+def test_rods_that_cannot_sweep_a_hollow_body_probe_it_alone_if_they_are_straight():
+    body = trimesh.creation.annulus(r_min=8, r_max=11, height=20, sections=16)
+    few = {"slices": 2, "samples": 8}
+    for plan in (scan3d.Plan(rod=RODS["tapered"], **few), scan3d.Plan(model="spatial", **few)):
+        recording = scan3d.simulate(body, plan)
+        assert recording.in_probings.all()
+        assert recording.stated_hollow
+        assert recording.six_axis == (plan.model == "spatial")
+    with pytest.raises(scan3d.InputError, match="straight at rest"):
+        scan3d.simulate(body, scan3d.Plan(rod=Rod(0.05, 1e-4, curvature_per_m=1.0), **few))
+    with pytest.raises(scan3d.InputError, match="does not have; leave the tolerance out"):
+        scan3d.simulate(body, scan3d.Plan(tolerance=1e-3))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"stop_force": "2 furlongs"}, "such as 2mN"),
+        ({"stop_force": 0.7}, "far below what buckles"),
+        ({"stop_force": 1e-3, "noise": 1e-3}, "stand out of the noise"),
+        ({"known": 1.5}, "a share from 0 to 1"),
+        ({"probing": "perhaps"}, "probing must be one of auto, off, only"),
+    ],
+)
+def test_wrong_settings_of_probing_are_refused(given, words):
+    with pytest.raises(scan3d.InputError, match=words):
+        scan3d.Plan(**given)
+
+
+def test_a_stop_force_has_a_unit_or_that_of_the_rod():
+    rod = RODS["uniform"]
+    by_unit = scan3d.Plan(stop_force=f"{20 * rod.force_unit_N} mN").stop_force_of(rod)
+    assert by_unit == pytest.approx(0.02)
+    assert scan3d.Plan(stop_force="0.02").stop_force_of(rod) == 0.02
+    assert scan3d.Plan(noise=1e-3).stop_force_of(rod) == pytest.approx(0.016)

@@ -99,7 +99,13 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
     convex = is_convex(mesh)
     along = plan.probing == "only" or (plan.probing == "auto" and not convex)
-    if along and (plan.probing == "only" or plan.model == "spatial"):
+    if plan.tolerance and (along or not convex):
+        raise InputError(
+            "a tolerance is met by the certified bound between slices, which a body that is not convex does not have; leave "
+            "the tolerance out, or scan the convex hull with --hull"
+        )
+    only = plan.probing == "only" or plan.model == "spatial" or not (plan.rod is None or plan.rod.is_simple)
+    if along and only:
         return probe(mesh, plan, rod_for(mesh, plan), progress=progress)
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
@@ -118,11 +124,6 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         raise InputError(
             "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose "
             "such a rod, or scan the convex hull with --hull"
-        )
-    if not convex and plan.tolerance:
-        raise InputError(
-            "a tolerance is met by the certified bound between slices, which a body that is not convex does not have; leave "
-            "the tolerance out, or scan the convex hull with --hull"
         )
     if not convex and plan.spacing == "adaptive":  # which asks for bounds between slices, as convex bodies have
         plan = replace(plan, spacing="uniform")
@@ -166,7 +167,12 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
 
 
 def rod_for(mesh: Any, plan: Plan) -> Rod:
-    """The rod of a body that is probed: that of the plan, or one that reaches through it."""
+    """The rod of a body that is probed: that of the plan, or one that reaches through it.
+
+    Raises InputError for a rod that does not follow its end.
+    """
+    if plan.rod is not None and any(plan.rod.curvatures):
+        raise InputError("a body is probed with a rod that is straight at rest; choose such a rod, or probing off")
     diagonal = UNITS_M[plan.unit] * float(np.linalg.norm(mesh.extents))
     # the clamp stays away from the body
     return (plan.rod or Rod.of_length(diagonal / (1 - 2 * AWAY))).without_thickness()
