@@ -38,8 +38,7 @@ from scan3d.report import Analysis, key_figures, report, rounded
 from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
-from scan3d.surfaces.carved import carved
-from scan3d.surfaces.explored import explored, with_surface_normals
+from scan3d.surfaces.any_shape import any_shape, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 
@@ -215,8 +214,7 @@ def analyse(
     found = reached = None
     with clock("surface"):
         if not cloud.convex:
-            make = carved if cloud.probed is None else explored
-            found = make(*as_measured(recording, cloud))
+            found = any_shape(*as_measured(recording, cloud))
             mesh = found.surface if method == "auto" else surface(cloud, method)
         else:
             # a hull is only taken as proven where the recording agrees with the model
@@ -243,7 +241,7 @@ def analyse(
         bounds,
         mesh,
         certified,
-        carved=found,
+        any_shape=found,
         reach=reached,
         warnings=tuple(warnings),
         diagnosis=diagnosis,
@@ -255,7 +253,7 @@ def analyse(
 
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
-    within = 0.0 if analysis.carved is None else analysis.carved.apart
+    within = 0.0 if analysis.any_shape is None else analysis.any_shape.apart
     comparison, contact_error, reached = compare_with_points(analysis.surface, analysis.cloud.points, truth, within)
     itself = mesh_itself(truth)
     return replace(

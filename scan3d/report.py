@@ -30,7 +30,7 @@ from scan3d.units import length, lengths, number, share, volume
 if TYPE_CHECKING:
     import trimesh
 
-    from scan3d.surfaces.carved import Carved
+    from scan3d.surfaces.any_shape import AnyShape
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,7 +55,7 @@ class Analysis:
     """Comparison of the surface with the mesh itself, where the truth is the convex hull of a mesh that is not convex."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Time spent on each step."""
-    carved: Carved | None = None
+    any_shape: AnyShape | None = None
     """What is known of a body that is not convex, and where; None for a convex one."""
     reach: Reach | None = None
     """What a stated finest feature bounds; None without one, and for convex bodies."""
@@ -109,7 +109,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         },
         **_calibration(recording, cloud),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
-        | ({} if analysis.carved is None else analysis.carved.coverage),
+        | ({} if analysis.any_shape is None else analysis.any_shape.coverage),
         "surface": {
             "method": surface.metadata["method"],
             "reason": surface.metadata["reason"],
@@ -218,7 +218,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
         "of an import or in the TOML file of the recording"
     )
-    left, contours = cloud.left_out, None if analysis.carved is None else analysis.carved.contours_bound
+    left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
     contours = np.inf if contours is not None and analysis.warnings else contours
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     parts = bounds.parts() | _off(cloud, bounds)
@@ -244,7 +244,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
         **({} if cloud.unmeasured is None else {"not_measured": list(cloud.unmeasured.words)}),
         "table": cloud.table,
-        **({} if analysis.carved is None else {"contours": {"bound": contours}}),
+        **({} if analysis.any_shape is None else {"contours": {"bound": contours}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": grown if is_real and not recording.rod.diameter_m else None,
         # without a bound neither it nor the volume has parts or ends

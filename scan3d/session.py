@@ -164,10 +164,10 @@ class Session(Described):
     def known(self) -> str:
         """What is certified so far, in words."""
         found, unit = self._known, self.plan.unit
-        if found.carved is not None and found.cloud.probed is not None:
-            return touched(found.carved.coverage, unit)
-        if found.carved is not None:
-            contours = f"the outer contours are known within {length(found.carved.contours_bound, unit, up=True)}"
+        if found.any_shape is not None and found.cloud.probed is not None:
+            return touched(found.any_shape.coverage, unit)
+        if found.any_shape is not None:
+            contours = f"the outer contours are known within {length(found.any_shape.contours_bound, unit, up=True)}"
             return f"{contours} in the planes of the slices; between them nothing is, because the body is not convex"
         if not self.certificate.bound < np.inf:
             return "nothing bounds the body yet"

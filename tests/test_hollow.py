@@ -218,7 +218,7 @@ def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
     result, _ = scanned
     with pytest.raises(scan3d.InputError, match="method bracket is for convex bodies"):
         scan3d.surface(result.cloud, "bracket")
-    with pytest.raises(scan3d.InputError, match="make the surface that the rods carve by"):
+    with pytest.raises(scan3d.InputError, match="make the surface through contacts and free space by"):
         scan3d.surface(result.cloud)
     for plan in (
         scan3d.Plan(model="spatial", probing="off"),

@@ -315,7 +315,7 @@ def test_a_rig_probes_a_body_round_after_round():
         poses = session.ask(sweeps=24)
         log = rig.simulate_rig(body, poses, friction=(0.0, 0.4))
         session.tell(log.recording())
-        known.append(session._known.carved.coverage["known"])
+        known.append(session._known.any_shape.coverage["known"])
         above = poses.position_m[:, 2] * 1000 + np.minimum(45 * poses.axes()[:, 1, 2], 0)
         assert above.min() >= session.plan.space().floor - 1e-6
     assert known[0] < known[1] < known[2]

@@ -66,7 +66,7 @@ def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     assert analysis.certificate.bound == np.inf
     analysis = analyse(replace(recording, rod=recording.rod.without_thickness()), reach=5.0)
     assert not analysis.warnings
-    assert analysis.surface.metadata["method"] == "carved"
+    assert analysis.surface.metadata["method"] == "cut"
     certificate = report(analysis, settings={})["certificate"]
     assert 0 < certificate["bound"] == analysis.reach.bound < 7.0
     assert "without features finer than the reach" in certificate["premise"]

@@ -443,7 +443,7 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
     surface
         a closed `trimesh.Trimesh` that the bound is for; None: any between the two bodies.
 
-    Raises InputError for an R that is no positive number or too fine for the grid, and as `surfaces.carved`.
+    Raises InputError for an R that is no positive number or too fine for the grid, and as `surfaces.any_shape`.
     """
     if not (np.isfinite(R) and R > 0):
         raise InputError(f"the reach must be a positive number, got {R}")

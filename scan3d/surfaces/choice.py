@@ -56,7 +56,7 @@ def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = No
     if not cloud.convex and method not in ("hull", *NOT_CONVEX):
         raise InputError(
             f"the method {method} is for convex bodies, and this one is not: choose hull, {' or '.join(NOT_CONVEX)}, or make "
-            "the surface that the rods carve by scan3d.scan or scan3d reconstruct"
+            "the surface through contacts and free space by scan3d.scan or scan3d reconstruct"
         )
     bounds = bounds or (enclosure(cloud) if method in ("auto", "bracket", "regression") else None)
     if cloud.fattened is not None and method not in NOT_CONVEX:

@@ -23,7 +23,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from scipy.spatial import Delaunay, cKDTree
 
-from scan3d.arrays import Array, Index, Mask, ratio
+from scan3d.arrays import Array, Index, Mask, ratio, unit_or_zero
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
@@ -49,6 +49,9 @@ _CLUSTERED = 1 / 300
 _NEIGHBOURS, _THINNER = 16, 0.005
 # Contacts are on opposite sides of a wall if either lies within this angle's cosine of the other's direction into the body.
 _ACROSS = np.cos(np.radians(30.0))
+# Contacts touch a place from behind if their direction into the body is within this angle's cosine of the normal there.  It is
+# less than a right angle, because at edges, and where rods graze, neither is certain.
+_FROM_BEHIND = np.cos(np.radians(60.0))
 # Depths behind a contact, in distances of merged contacts, at which the body lies.
 _BEHIND = (0.4, 0.9)
 # Rods count in full where they pass deeper than this part of the merged contacts' distance.
@@ -96,8 +99,9 @@ def cut_surface(
         segments that rods have passed.
     free (k, 3)
         further places that are taken for free.
-    between (j, 3)
-        further places at which the surface may have corners where nothing was touched.
+    between (j, 2, 3)
+        further places at which the surface may have corners where nothing was touched, and unit vectors from them into the
+        body, NaN where there is no telling.
     moved (n, 3)
         places of the surface that the contacts are those of, if rods are thick and lines are those of their axes.
 
@@ -110,26 +114,30 @@ def cut_surface(
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if thin < _JOGGLE * size * np.sqrt(len(points)):
         raise InputError("the contacts lie in a plane, and span no body; touch it from more sides")
-    joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * _CLUSTERED * size
+    random = np.random.default_rng(_SEED)
+    joggled = points + random.uniform(-1, 1, points.shape) * _JOGGLE * _CLUSTERED * size
     spacing, wall = _spacing(joggled, inward, size)
     merged = min(_MERGED * spacing, _OF_WALLS * wall)
     corners = kept_apart(joggled, merged)
-    between = np.empty((0, 3)) if between is None else between
-    cells = _Cells.around(np.concatenate([joggled[corners], between]), _MARGIN * size)
+    between = np.empty((0, 2, 3)) if between is None else between
+    loose = between[:, 0] + random.uniform(-1, 1, (len(between), 3)) * _JOGGLE * _CLUSTERED * size
+    cells = _Cells.around(np.concatenate([joggled[corners], loose]), _MARGIN * size)
     cell, depth = cells.crossed(lines)
+    count = len(cells.corners)
+    empty = np.bincount(cell[depth > spacing], minlength=count) > 1
+    empty |= (cells.corners >= len(corners) + len(between)).any(axis=1)
     if free is not None:
         inside = cells.at(free)
         free, inside = free[inside >= 0], inside[inside >= 0]
         cell, depth = np.append(cell, inside), np.append(depth, cells.depth(inside, free))
-    count = len(cells.corners)
     passed = np.zeros(count) + np.bincount(cell, np.minimum(depth / (_DEEP * merged), 1.0), count)
-    behind = cells.at((joggled + merged * np.multiply.outer(_BEHIND, inward)).reshape(-1, 3))
+    touching, into = np.concatenate([joggled, loose]), np.concatenate([inward, between[:, 1]])
+    behind = touching + merged * np.multiply.outer(_BEHIND, into)
+    behind = cells.at(behind[:, np.isfinite(into).all(axis=1)].reshape(-1, 3))
     touched = np.bincount(behind[behind >= 0], minlength=count)
-    empty = np.bincount(cell[depth > spacing], minlength=count) > 1
-    empty |= (cells.corners >= len(corners) + len(between)).any(axis=1)
     faces = _bounded(cells, passed, touched, empty, spacing)
     moved = points if moved is None else moved
-    vertices = np.concatenate([moved[corners], between])
+    vertices = np.concatenate([moved[corners], between[:, 0]])
     vertices, faces = manifold(vertices, faces, _APART * merged)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
     surface = trimesh.Trimesh(vertices, faces, process=False)
@@ -144,6 +152,8 @@ def _spacing(points: Array, inward: Array, size: float) -> tuple[float, float]:
     """The median distance of neighbouring contacts, and the thickness of the thinnest walls; infinite if none is seen."""
     chosen = kept_apart(points, _CLUSTERED * size)
     points, inward = points[chosen], inward[chosen]
+    if len(points) < 4:
+        raise InputError("the contacts are all in a few places, and span no body; touch it in more places")
     count = min(_NEIGHBOURS, len(points) - 1)
     distance, other = cKDTree(points).query(points, count + 1)
     distance, other = distance[:, 1:], other[:, 1:]
@@ -278,13 +288,15 @@ def _bounded(cells: _Cells, passed: Array, touched: Index, empty: Mask, spacing:
     body &= sizes[part] >= _SPLINTER * sizes.sum()
     if not body.any():
         raise InputError("the contacts span no body that the rods have left free; touch it more densely")
+    # mending never adds what is free for certain
+    price = volume + empty * volume.sum()
     for rounds in range(len(body)):
         faces, _ = border(body, cells.points, cells.corners, neighbours)
         wrong = shared(faces)
         if not len(wrong):
             break
         # the smaller side of edges with more than two faces changes first; later tetrahedra are only added
-        mend(body, wrong, cells.corners, neighbours, volume, only_add=rounds >= _MENDED)
+        mend(body, wrong, cells.corners, neighbours, price, only_add=rounds >= _MENDED)
     return faces
 
 
@@ -320,7 +332,7 @@ def _classes(vertices: Array, faces: Index, points: Array, inward: Array, size: 
     count = min(_NEIGHBOURS, len(points))
     distance, other = cKDTree(points).query(vertices, count, distance_upper_bound=BETWEEN * size)
     found = np.isfinite(distance)
-    behind = dot(inward[np.where(found, other, 0)], normals[:, None]) > 0
+    behind = dot(inward[np.where(found, other, 0)], unit_or_zero(normals)[:, None]) > _FROM_BEHIND
     behind[distance == 0] = False
     nearest = np.where(found & ~behind, distance, np.inf).min(axis=1)
     known = np.where(nearest <= TOUCHED * size, KNOWN, np.where(nearest <= BETWEEN * size, ESTIMATED, UNKNOWN))

@@ -13,7 +13,7 @@ bound, false
     the contours' bound in rod lengths, and the slices in which a place of the outer contour is farther from the true one.
 reach
     share in per cent of the truth within reach: a contact lies no farther from it than the slices are apart.  Mean and largest
-    distance of these places from the carved surface and from the hull of the contacts follow, in per cent of the diagonal.
+    distance of these places from the surface and from the hull of the contacts follow, in per cent of the diagonal.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of
 from scan3d.geometry.distance import Search, nearest
 from scan3d.geometry.hulls import hull
 from scan3d.simulation import scan
-from scan3d.surfaces.carved import carved
+from scan3d.surfaces.any_shape import any_shape
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "meshes"))
 
@@ -239,7 +239,7 @@ def dense(loop: np.ndarray) -> np.ndarray:
 
 
 def within_reach(mesh: trimesh.Trimesh, recording: scan3d.Recording, cloud: scan3d.Cloud, made: trimesh.Trimesh) -> str:
-    """The share of the truth within reach, and its mean and largest distance from the carved surface and from the hull."""
+    """The share of the truth within reach, and its mean and largest distance from the surface and from the hull."""
     truth = np.asarray(trimesh.sample.sample_surface(mesh, PLACES, seed=0)[0])
     apart = max(sheet.apart for sheet in sheets_of(recording, cloud))
     reached = truth[cKDTree(cloud.points).query(truth)[0] <= apart]
@@ -266,14 +266,14 @@ def main() -> None:
         friction=friction[0] if len(friction) == 1 else friction,
     )
     print(
-        "body         facets contacts  wrong share %   worst   two  told  lost   bound false reach carved        hull"
+        "body         facets contacts  wrong share %   worst   two  told  lost   bound false reach surface       hull"
     )
     for name in given.names or EVERYDAY:
         mesh = EVERYDAY[name]()
         try:
             recording, places, outlines = simulated(mesh, plan)
             cloud = scan3d.reconstruct(recording)
-            surface = carved(recording, cloud).surface
+            surface = any_shape(recording, cloud).surface
         except scan3d.InputError as error:
             print(f"{name:12} refused: {error}", flush=True)
             continue
