@@ -1,7 +1,8 @@
 """The everyday bodies of the robustness trials are what their table says."""
 
 import pytest
-from robustness.everyday import EVERYDAY, mesh_of
+
+from tests.robustness.everyday import EVERYDAY, mesh_of
 
 
 @pytest.mark.parametrize("name", EVERYDAY)
