@@ -66,7 +66,7 @@ class Settings:
     probing: Probing = _setting(
         "auto",
         "also move the rod along itself until it touches: auto on bodies that are not convex, after an eighth of the "
-        "slices, in at most twice as many planes as slices; off; or only",
+        "slices, in at most three times as many planes; off; or only",
     )
     known: float = _setting(0.0, "share of the surface with a contact nearby at which probing ends; 0: nothing is left")
     stop_force: str = _setting("auto", "force that ends a probing, in EI/L² such as 0.01, or with a unit such as 2mN")

@@ -415,8 +415,8 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
 # Cells in R at least, and cells around the balls.
 _COARSEST, _AROUND = 4.0, 3
 _EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
-# Part of R by which a body may differ from a union of balls: edges of up to 11 degrees, as meshes of smooth bodies have.
-_SMOOTH = 0.005
+# Part of R by which a body may differ from a union of balls: edges of up to 7 degrees, as meshes of smooth bodies have.
+_SMOOTH = 0.002
 # Contacts at which two balls are sought, evenly over the recording: a hundredth of a second each.
 _TESTED = 400
 

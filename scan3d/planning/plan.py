@@ -80,7 +80,7 @@ class Plan:
         a `scan3d.Gravity`, of a rod that has a weight: it must lie in the planes of the slices.
     probing
         ``auto``: of a body that is not convex, after sweeps in an eighth of the slices, the rod is sent along itself, wherever
-        most is unknown, in at most twice as many planes as there are slices; in the spatial model without sweeps.  ``off``:
+        most is unknown, in at most three times as many planes; in the spatial model without sweeps.  ``off``:
         there are sweeps only; ``only``: there are none.
     known
         share of the surface that has a contact nearby, as far as contacts tell, at which probing ends; 0: where nothing is left

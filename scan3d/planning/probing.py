@@ -34,8 +34,16 @@ _APART = 0.015
 # and how many of them are probed along, the first one included.
 _DIRECTIONS, _LOOKED_AT, _ANGLES, _IN_PLANE, _PROBED = 96, 40, 24, 16, 4
 _TURNS = np.pi / _ANGLES * np.arange(_ANGLES)
+# Directions that are looked along again in the next round, turned by so much in radians, because most was seen along them.
+_BEST, _BESIDE = 8, 0.1
 # Gain of a place without a contact nearby, at most, in multiples of that of one as far from a contact as counts as near.
 _MOST = 3.0
+# Half the width of a cell in an image, in pixels.
+_HALF = 0.2
+# Gain of a row of probings, at least: about as much as two places far from any contact.
+_LEAST = 2.5
+PLANES = 3
+"""Planes in which a scan probes at most, for each slice that is asked for."""
 PER_ROUND = 8
 """Planes that are planned at once."""
 
@@ -99,6 +107,7 @@ class Unknown:
         self._tried = np.zeros(shape, dtype=np.int32)
         self._contacts, self._wanted = np.empty((0, 3)), np.empty((0, 3))
         self._random = np.random.default_rng([*seed, 4])
+        self._best_seen = np.empty((0, 3))
 
     def add(self, points: Array, inward: Array, lines: Array) -> None:
         """Add contacts (n, 3) with unit vectors (n, 3) into the body, and lines (m, 2, 3) that are free."""
@@ -153,14 +162,18 @@ class Unknown:
         places = self._origin + self._cell * cells
         turn = Rotation.random(rng=self._random).as_matrix()
         directions = self._allowed((turn @ sphere_directions(_DIRECTIONS)).T[self._random.permutation(_DIRECTIONS)])
-        directions = directions[:_LOOKED_AT]
+        beside = Rotation.from_rotvec(self._random.normal(0, _BESIDE, (len(self._best_seen), 3)))
+        directions = np.concatenate([directions[:_LOOKED_AT], self._allowed(beside.apply(self._best_seen))])
         seen = [self._seen(places, along) for along in directions]
+        # through a narrow neck few directions lead, and those beside them see more
+        value = [float(gain[image.rows].sum()) for image in seen]
+        self._best_seen = directions[np.argsort(value)[-_BEST:]]
         found: list[Probings] = []
         for number in range(most):
             best = [self._best(image, gain) for image in seen]
             k = int(np.argmax([total for total, *_ in best]))
             total, normal, height = best[k]
-            if total < 1.0:
+            if total < _LEAST:
                 most = number
                 break
             near = np.flatnonzero(np.abs(places @ normal - height) <= self._cell / 2)
@@ -204,13 +217,23 @@ class Unknown:
         return _Image(frame, turned @ frame[:2], first, offset, least)
 
     def _nearest(self, flat: Array, depth: Array) -> tuple[Index, Index]:
-        """Of places in the same pixels (n, k) the first one, if rods reach it, and its pixel."""
+        """Of places in the same pixels (n, k) the first one, if nothing hides it and rods reach it, and its pixel."""
         pixel = np.round(flat / self._cell).astype(np.int64)
+        if not len(pixel):
+            return np.empty(0, dtype=np.int64), pixel
+        least, shape = pixel.min(axis=0) - 1, np.ptp(pixel, axis=0) + 3
+        # cells hide what is behind them also where their middles are in other pixels, so that no wall has holes
+        wide = np.stack(np.meshgrid(*[[-_HALF, 0.0, _HALF]] * flat.shape[1]), axis=-1).reshape(-1, 1, flat.shape[1])
+        covered = np.round(flat / self._cell + wide).astype(np.int64) - least
+        nearest = np.full(int(np.prod(shape)), np.inf)
+        number = np.ravel_multi_index(tuple(np.moveaxis(covered, -1, 0)), tuple(shape))
+        np.minimum.at(nearest, number.ravel(), np.tile(depth, len(wide)))
+        key = np.ravel_multi_index(tuple((pixel - least).T), tuple(shape))
+        seen = depth <= nearest[key] + self._cell
         # rods end where the clamp comes near the hull
-        rows = np.flatnonzero(depth - depth.min(initial=np.inf) <= self._length - self._away)
+        rows = np.flatnonzero(seen & (depth - depth.min(initial=np.inf) <= self._length - self._away))
         order = rows[np.argsort(depth[rows], kind="stable")]
-        key = (pixel[order] * [100_003, 1][-pixel.shape[1] :]).sum(axis=1)
-        first = order[np.unique(key, return_index=True)[1]]
+        first = order[np.unique(key[order], return_index=True)[1]]
         return first, pixel[first]
 
     def _best(self, image: _Image, gain: Array) -> tuple[float, Array, float]:
@@ -235,7 +258,7 @@ class Unknown:
         while len(chosen) < _PROBED and len(others):
             gains = [float(gain[rows].sum()) for rows in seen]
             best = int(np.argmax(gains))
-            if gains[best] < 1.0:
+            if gains[best] < _LEAST:
                 break
             chosen.append(others[best])
             gain[seen[best]] = 0.0

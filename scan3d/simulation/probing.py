@@ -19,7 +19,7 @@ from scan3d.arrays import Array, Mask, unit_or_zero
 from scan3d.geometry.crossings import first_met
 from scan3d.geometry.triangles import face_normals
 from scan3d.planning.plan import Plan
-from scan3d.planning.probing import PER_ROUND, Probings, Unknown
+from scan3d.planning.probing import PER_ROUND, PLANES, Probings, Unknown
 from scan3d.reconstruction import NoContactError
 from scan3d.reconstruction.probings import contacts, free_lines
 from scan3d.recording import Recording, joined
@@ -41,7 +41,7 @@ def probe(
     Round after round they go where most is unknown, as contacts and free places tell.  `progress` is called with the number of
     planes done and of all planes at most.
     """
-    length, most = rod.length_m / UNITS_M[plan.unit], 2 * plan.slices
+    length, most = rod.length_m / UNITS_M[plan.unit], PLANES * plan.slices
     unknown, recordings, planes = Unknown(mesh.bounds[0], mesh.bounds[1], length, [plan.seed]), list(swept), 0
     planned = unknown.first_round()
     while planned.planes:

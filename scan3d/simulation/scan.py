@@ -49,6 +49,7 @@ from scan3d.planning.plan import (
     positions,
     rasters,
 )
+from scan3d.planning.probing import PLANES
 from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SAME_AXIS
@@ -127,7 +128,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         )
     if not convex and plan.spacing == "adaptive":  # which asks for bounds between slices, as convex bodies have
         plan = replace(plan, spacing="uniform")
-    planes = 2 * plan.slices if along else 0
+    planes = PLANES * plan.slices if along else 0
     if along:  # a few sweeps tell friction and normals; rods that move along themselves reach more
         plan = replace(plan, slices=max(plan.slices // 8, 1))
     if plan.rod is None or rod.tapered or not convex:  # no radius fattens the body for a tapered rod
@@ -162,7 +163,11 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         return swept
     done = count - planes
     return probe(
-        mesh, replace(plan, slices=planes // 2), rod, [swept], progress and (lambda k, _: progress(done + k, count))
+        mesh,
+        replace(plan, slices=planes // PLANES),
+        rod,
+        [swept],
+        progress and (lambda k, _: progress(done + k, count)),
     )
 
 
