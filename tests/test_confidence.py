@@ -20,6 +20,7 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.errors import independent
 from scan3d.reconstruction.slices import stacks
+from scan3d.recording import of_rows
 from scan3d.simulation.rig import pink_noise
 from scan3d.surfaces import enclosure
 
@@ -175,6 +176,15 @@ def test_independent_errors_are_taken_for_independent(noise):
         errors = np.random.default_rng(seed).standard_normal((len(exact), 3))
         errors[7 * seed] *= 30
         assert independent(with_errors(exact, errors))
+
+
+@pytest.mark.parametrize("count", range(1, 7))
+def test_a_few_rows_have_contacts(count):
+    """Whose errors nothing in the air shows."""
+    _, exact = exact_with_stated()
+    pressed = np.flatnonzero(np.abs(exact.force_N[:, 0]) > 0.3 * np.abs(exact.force_N).max())
+    cloud = contacts(of_rows(exact, pressed[:count]))
+    assert (len(cloud), cloud.independent) == (count, True)
 
 
 def test_the_part_of_a_polygon_beyond_a_line():

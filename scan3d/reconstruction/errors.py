@@ -89,6 +89,8 @@ class Air(NamedTuple):
 
 def noise_in_air(recording: Recording) -> Air:
     """The noise by second differences of successive rows in the air, in which touches that begin or end do not show."""
+    if len(recording) < 5:  # rows in a row that a second difference needs about it
+        return Air(0, None, 1.0)
     noise, order = recording.noise.of_reactions(recording.rod), np.argsort(recording.sweep, kind="stable")
     force, moment = (part[order] for part in recording.reactions(recording.six_axis))
     air, sweep = ~felt(recording.pressing(recording.six_axis)[order], noise), recording.sweep[order]
