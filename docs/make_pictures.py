@@ -17,12 +17,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
-EGG = ROOT / "meshes" / "egg.stl"
-# What `scan3d scan meshes/egg.stl` is given for the folders that the views show.
+MESHES = ROOT / "meshes"
+# The mesh that `scan3d scan` is given for each folder that the views show, if it is not the egg, and the options.
+OTHERS = {"mug": MESHES / "hollow" / "mug.stl"}
 SCANS = {
     "egg": ("--friction", "0.0:0.4"),
     "few": ("--slices", "24", "--samples", "40"),
     "space": ("--friction", "0.0:0.4", "--model", "spatial", "--slices", "16"),
+    "mug": ("--friction", "0.0:0.4"),
 }
 # Of each picture the folder and the options of `scan3d show`; HULL is a surface by another method of the same recording.
 HULL = "hull"
@@ -32,6 +34,7 @@ VIEWS = {
     "histogram": ("egg", "--view", "histogram"),
     "forces": ("egg", "--view", "forces"),
     "compare": ("egg", "--view", "compare"),
+    "mug": ("mug", "--camera", "330,40"),
     "difference": ("egg", "--against", HULL, "--size", "120x90mm", "--camera", "300,15"),
 }
 # Likewise of each movie.
@@ -68,8 +71,9 @@ class Folders:
             run("-m", "scan3d", "reconstruct", recording, "--out", folder, "--method", "hull", folder=self._place)
         else:
             # the mesh beside the folder, where `show` finds it
-            (self._place / EGG.name).write_bytes(EGG.read_bytes())
-            run("-m", "scan3d", "scan", EGG.name, "--out", folder, *SCANS[name], folder=self._place)
+            mesh = OTHERS.get(name, MESHES / "egg.stl")
+            (self._place / mesh.name).write_bytes(mesh.read_bytes())
+            run("-m", "scan3d", "scan", mesh.name, "--out", folder, *SCANS[name], folder=self._place)
         return folder
 
 

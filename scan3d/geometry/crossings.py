@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import AT_ONCE, Array, Index, Mask, ranges
+from scan3d.geometry.triangles import largest_of_three
 
 
 def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index]:
@@ -30,8 +31,8 @@ def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index
     order = np.argsort(lines[:, 1], kind="stable")
     level = lines[order, 1]
     height = corners[faces, 1]
-    first = np.searchsorted(level, height.min(axis=1))
-    count = np.searchsorted(level, height.max(axis=1), side="right") - first
+    first = np.searchsorted(level, -largest_of_three(-height))
+    count = np.searchsorted(level, largest_of_three(height), side="right") - first
     near = np.flatnonzero(count)
     blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE, count.sum(), AT_ONCE))
     for some in np.split(near, np.unique(blocks)):
@@ -74,7 +75,7 @@ def _met(corners: Array, faces: Index, lines: Array) -> tuple[Mask, Array]:
     """Whether lines along the third axis, one for each face (m, 3), meet it, and where (m,)."""
     x, y = lines[:, 0], lines[:, 1]
     across = corners[faces, 0]
-    met = (across.min(axis=1) <= x) & (across.max(axis=1) >= x)
+    met = (-largest_of_three(-across) <= x) & (largest_of_three(across) >= x)
     some = np.flatnonzero(met)
     faces, x, y = faces[some], x[some], y[some]
     sides = np.empty((len(some), 3))

@@ -223,7 +223,7 @@ class Unknown:
             return np.empty(0, dtype=np.int64), pixel
         least, shape = pixel.min(axis=0) - 1, np.ptp(pixel, axis=0) + 3
         # cells hide what is behind them also where their middles are in other pixels, so that no wall has holes
-        wide = np.stack(np.meshgrid(*[[-_HALF, 0.0, _HALF]] * flat.shape[1]), axis=-1).reshape(-1, 1, flat.shape[1])
+        wide = np.stack(np.meshgrid(*[[-_HALF, _HALF]] * flat.shape[1]), axis=-1).reshape(-1, 1, flat.shape[1])
         covered = np.round(flat / self._cell + wide).astype(np.int64) - least
         nearest = np.full(int(np.prod(shape)), np.inf)
         number = np.ravel_multi_index(tuple(np.moveaxis(covered, -1, 0)), tuple(shape))
