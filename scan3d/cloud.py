@@ -16,6 +16,9 @@ from scan3d.rigs import RigErrors
 from scan3d.shown import Exported, Rows, Shown
 from scan3d.units import force, length, lengths, number
 
+TOUCHED = 0.02
+"""Distance from a contact, in diagonals of the contacts' box, within which a place of a body that is not convex is touched."""
+
 
 class NormalSource(IntEnum):
     """Where a contact's normal comes from."""

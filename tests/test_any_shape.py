@@ -11,6 +11,7 @@ from shapes import letter_l
 
 import scan3d
 from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of, spacing_of
+from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.hulls import hull
@@ -19,7 +20,6 @@ from scan3d.poses import Move
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import of_rows
 from scan3d.surfaces.any_shape import any_shape
-from scan3d.surfaces.cut import TOUCHED
 
 HEIGHTS = np.linspace(-24.5, 24.5, 17)
 

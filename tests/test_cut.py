@@ -5,8 +5,9 @@ import functools
 import numpy as np
 import pytest
 
+from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
-from scan3d.surfaces.cut import BETWEEN, TOUCHED, cut_surface
+from scan3d.surfaces.cut import BETWEEN, cut_surface
 
 
 def torus(points):

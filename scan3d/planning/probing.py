@@ -20,12 +20,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, OCTANTS, Array, Index, Mask, ranges
+from scan3d.cloud import TOUCHED
 from scan3d.geometry.sections import slice_frame
 from scan3d.poses import AWAY
 from scan3d.spatial.bodies import sphere_directions
 
-NEAR = 0.02
-"""Distance from a contact within which a place counts as touched, relative to the diagonal of the box around the body."""
 # Cells of the grid along the longest side of the box, and around it.
 _CELLS, _MARGIN = 56, 2
 # How far apart the probings in a plane are, relative to the diagonal.
@@ -105,7 +104,7 @@ class Unknown:
         self._origin = (low + high) / 2 - (shape - 1) / 2 * self._cell
         self._free, self._inside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self._tried = np.zeros(shape, dtype=np.int32)
-        self._contacts, self._wanted = np.empty((0, 3)), np.empty((0, 3))
+        self._contacts = np.empty((0, 3))
         self._random = np.random.default_rng([*seed, 4])
         self._best_seen = np.empty((0, 3))
 
@@ -130,10 +129,6 @@ class Unknown:
             normal, along = axes[k, 2], axes[k, 1]
             near = np.flatnonzero(np.abs(places @ normal - height[k]) <= self._cell / 2)
             self._tried[tuple(cells[self._first(places, near, normal, along)].T)] += 1
-
-    def want(self, places: Array) -> None:
-        """Count places (k, 3) of an estimated surface as border of the body as well."""
-        self._wanted = places
 
     def _mark(self, cells: Mask, places: Array) -> None:
         index = np.round((places - self._origin) / self._cell).astype(int)
@@ -195,12 +190,10 @@ class Unknown:
         if self._inside.any():
             body = ndimage.distance_transform_edt(~self._inside) <= to_free
         border = body & ~ndimage.binary_erosion(body)
-        if len(self._wanted):
-            self._mark(border, self._wanted)
         cells = np.argwhere(border)
-        distance, near = np.full(len(cells), np.inf), NEAR * self._diagonal
+        distance, near = np.full(len(cells), np.inf), TOUCHED * self._diagonal
         if len(self._contacts) and len(cells):
-            near = NEAR * float(np.linalg.norm(np.ptp(self._contacts, axis=0)))
+            near = TOUCHED * float(np.linalg.norm(np.ptp(self._contacts, axis=0)))
             distance = cKDTree(self._contacts).query(self._origin + self._cell * cells)[0]
         gain = np.where(distance > near, np.minimum(distance / near, _MOST), 0.0)
         return cells, gain * 0.5 ** self._tried[tuple(cells.T)]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,9 @@ def probe(
         if plan.known and unknown.known() >= plan.known:
             break
         planned = unknown.next_round(min(PER_ROUND, most - planes))
-    return joined(recordings)
+    found = joined(recordings)
+    unresolved = sum(recording.source.get("unresolved", 0) for recording in recordings)
+    return replace(found, source={**found.source, "unresolved": unresolved})
 
 
 def recorded_probings(mesh: Any, moves: Probings, plan: Plan, rod: Rod, length: float, part: int) -> Recording:
@@ -75,7 +78,11 @@ def recorded_probings(mesh: Any, moves: Probings, plan: Plan, rod: Rod, length: 
         wrench -= np.repeat(found.free[known], 2, axis=0)
     wrench = wrench if plan.model == "spatial" else wrench[:, [0, 1, 5]]
     number = np.repeat(np.arange(int(known.sum())), 2)
-    source = {"convex": False, **({"model": "spatial"} if plan.model == "spatial" else {})}
+    source = {
+        "convex": False,
+        "unresolved": int((~known).sum()),
+        **({"model": "spatial"} if plan.model == "spatial" else {}),
+    }
     return recorded(plan, rod, moves.axes[known], number, position, wrench, source, part)
 
 

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import Array
 from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, passed_lines, sheets_of, spacing_of
-from scan3d.cloud import Cloud, NormalSource
+from scan3d.cloud import TOUCHED, Cloud, NormalSource
 from scan3d.errors import InputError
 from scan3d.geometry.crossings import first_crossings
 from scan3d.geometry.distance import Search
@@ -32,7 +32,7 @@ from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import into_body, with_rows
 from scan3d.recording import Recording, of_rows
 from scan3d.spatial.bodies import sphere_directions
-from scan3d.surfaces.cut import ESTIMATED, KNOWN, TOUCHED, UNKNOWN, cut_surface
+from scan3d.surfaces.cut import ESTIMATED, KNOWN, UNKNOWN, cut_surface
 from scan3d.units import length
 
 # Directions from which a place is looked at that no rod has touched.

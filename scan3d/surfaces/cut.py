@@ -24,6 +24,7 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from scipy.spatial import Delaunay, cKDTree
 
 from scan3d.arrays import Array, Index, Mask, ratio, unit_or_zero
+from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
@@ -31,9 +32,9 @@ from scan3d.surfaces.tetrahedra import border, manifold, mend, parts, refined, s
 
 KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
 """Classes of the surface: touched near by; between touches; the rest, of which nothing is known."""
-TOUCHED, BETWEEN = 0.02, 0.03
-"""Largest distances from a contact at which a place is known, and at which it is estimated, in diagonals of the contacts' box.
-Contacts are places of the body: so neither is farther from it."""
+BETWEEN = 0.03
+"""Largest distance from a contact at which a place is estimated, as `TOUCHED` is that at which it is known, in diagonals of the
+contacts' box.  Contacts are places of the body: so neither is farther from it."""
 
 # Contacts are moved by this part of their spacing, so that no two of them are as far apart as a limit and no five on a sphere.
 _JOGGLE, _SEED = 1e-4, 0
