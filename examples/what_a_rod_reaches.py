@@ -75,7 +75,7 @@ WIDE = 0.03  # of the rod, beyond which nothing supports the contour
 def surface() -> tuple[np.ndarray, np.ndarray]:
     """Facets (f, 3, 3), and the least class of their corners, of a scan of the L with few slices."""
     mesh = Path(__file__).parents[1] / "meshes" / "hollow" / "l.stl"
-    found = scan3d.scan(mesh, slices=5, samples=32).surface
+    found = scan3d.scan(mesh, slices=5, samples=32, probing="off").surface
     return np.asarray(found.triangles), found.vertex_attributes["known"][found.faces].min(axis=1)
 
 

@@ -260,6 +260,7 @@ def main() -> None:
     given = parser.parse_args()
     friction = tuple(map(float, given.friction.split(":")))
     plan = scan3d.Plan(
+        probing="off",
         slices=given.slices,
         noise=given.noise,
         seed=given.seed,
