@@ -57,6 +57,7 @@ trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd fi
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --trial --count 10
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.rig_bounds
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.hidden_contacts
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.probing
 
 mutants: .venv/dev ## mutation tests: change the code in small ways, print the changes that no test notices
 	.venv/bin/python tests/robustness/mutants.py $(ARGS)
