@@ -16,7 +16,10 @@ import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.geometry.crossings import first_crossings, first_met
 from scan3d.planning.probing import Probings, Unknown
+from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
+from scan3d.poses import Move
 from scan3d.reconstruction.probings import free_lines
+from scan3d.recording import joined, of_rows
 from scan3d.rods import Gravity, Rod
 from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
@@ -357,3 +360,24 @@ def test_a_stop_force_has_a_unit_or_that_of_the_rod():
     assert by_unit == pytest.approx(0.02)
     assert scan3d.Plan(stop_force="0.02").stop_force_of(rod) == 0.02
     assert scan3d.Plan(noise=1e-3).stop_force_of(rod) == pytest.approx(0.016)
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_probings_that_touch_nothing_give_no_contact(model):
+    rng = np.random.default_rng(7)
+    recording = _recording(trimesh.creation.icosphere(2, radius=20.0), RODS["uniform"], rng, model=model)
+    free = of_rows(recording, np.linalg.norm(recording.force_N, axis=1) == 0)
+    # each probing goes on, and feels nothing
+    moved = replace(free, position_m=free.position_m + 1e-3 * free.axes()[:, 1])
+    both = replace(joined([free, moved]), sweep=np.concatenate([free.sweep, free.sweep]))
+    assert both.in_probings.any()
+    with pytest.raises(scan3d.InputError, match="touched at its end"):
+        scan3d.reconstruct(both, model=model)
+
+
+def test_a_sweep_of_poses_is_either_swept_or_probed():
+    poses = plan_poses(RigPlan(parse_envelope("cylinder:26x14"), probing=True))
+    move = poses.move.copy()
+    move[np.flatnonzero(move == Move.PROBE)[0]] = Move.SWEEP
+    with pytest.raises(scan3d.InputError, match="of another move than the sweep"):
+        replace(poses, move=move)

@@ -43,6 +43,11 @@ def contacts(recording: Recording, model: str) -> Cloud:
     noise = recording.noise.of_reactions(rod)
     touched = np.flatnonzero(felt(recording.pressing(six_axis), noise))
     rows = np.sort(touched[np.unique(recording.sweep[touched], return_index=True)[1]])
+    nothing = NoContactError(
+        f"the recording has no contact: none of its {len(recording)} rows has reactions of a rod that is touched at its end"
+    )
+    if not len(rows):
+        raise nothing
     force, moment = (part[rows].T for part in recording.reactions(six_axis))
     down = recording.down()
     found = inverse.at_ends(
@@ -52,9 +57,7 @@ def contacts(recording: Recording, model: str) -> Cloud:
     alone = found.chance >= RIGHT_ROWS / len(rows)
     elsewhere, rows = int((~alone).sum()), rows[alone]
     if not len(rows):
-        raise NoContactError(
-            f"the recording has no contact: none of its {len(recording)} rows has reactions of a rod that is touched at its end"
-        )
+        raise nothing
     axes, length, n = recording.axes()[rows], rod.length_m / scale, len(rows)
     points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[:, alone].T, axes)
     pose = recording.noise.pose_m / scale
