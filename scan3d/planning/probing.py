@@ -41,6 +41,8 @@ _MOST = 3.0
 _HALF = 0.2
 # Gain of a row of probings, at least: about as much as two places far from any contact.
 _LEAST = 2.5
+# Digits of places in cells and of gains that decide: rounding does not.
+_DIGITS = 6
 PLANES = 3
 """Planes in which a scan probes at most, for each slice that is asked for."""
 PER_ROUND = 8
@@ -127,11 +129,11 @@ class Unknown:
         rows = np.round(np.column_stack([axes[:, 1:].reshape(-1, 6), height / self._cell]), 6)
         for k in np.unique(rows, axis=0, return_index=True)[1]:
             normal, along = axes[k, 2], axes[k, 1]
-            near = np.flatnonzero(np.abs(places @ normal - height[k]) <= self._cell / 2)
+            near = np.flatnonzero(np.round(np.abs(places @ normal - height[k]) / self._cell, _DIGITS) <= 0.5)
             self._tried[tuple(cells[self._first(places, near, normal, along)].T)] += 1
 
     def _mark(self, cells: Mask, places: Array) -> None:
-        index = np.round((places - self._origin) / self._cell).astype(int)
+        index = _whole((places - self._origin) / self._cell)
         inside = ((index >= 0) & (index < cells.shape)).all(axis=1)
         cells[tuple(index[inside].T)] = True
 
@@ -162,16 +164,16 @@ class Unknown:
         seen = [self._seen(places, along) for along in directions]
         # through a narrow neck few directions lead, and those beside them see more
         value = [float(gain[image.rows].sum()) for image in seen]
-        self._best_seen = directions[np.argsort(value)[-_BEST:]]
+        self._best_seen = directions[np.argsort(np.round(value, _DIGITS), kind="stable")[-_BEST:]]
         found: list[Probings] = []
         for number in range(most):
             best = [self._best(image, gain) for image in seen]
-            k = int(np.argmax([total for total, *_ in best]))
+            k = int(np.argmax(np.round([total for total, *_ in best], _DIGITS)))
             total, normal, height = best[k]
             if total < _LEAST:
                 most = number
                 break
-            near = np.flatnonzero(np.abs(places @ normal - height) <= self._cell / 2)
+            near = np.flatnonzero(np.round(np.abs(places @ normal - height) / self._cell, _DIGITS) <= 0.5)
             for along in self._directions(places, gain, near, normal, directions[k]):
                 rows = self._first(places, near, normal, along)
                 self._tried[tuple(cells[rows].T)] += 1
@@ -195,6 +197,7 @@ class Unknown:
         if len(self._contacts) and len(cells):
             near = TOUCHED * float(np.linalg.norm(np.ptp(self._contacts, axis=0)))
             distance = cKDTree(self._contacts).query(self._origin + self._cell * cells)[0]
+        distance = np.round(distance / near, _DIGITS) * near
         gain = np.where(distance > near, np.minimum(distance / near, _MOST), 0.0)
         return cells, gain * 0.5 ** self._tried[tuple(cells.T)]
 
@@ -204,20 +207,20 @@ class Unknown:
         flat = places @ frame.T
         first, pixel = self._nearest(flat[:, :2], flat[:, 2])
         turned = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
-        offset = np.round(turned @ pixel.T).astype(np.int64)
+        offset = _whole(turned @ pixel.T)
         least = offset.min(axis=1, initial=0)
         offset -= least[:, None]
         return _Image(frame, turned @ frame[:2], first, offset, least)
 
     def _nearest(self, flat: Array, depth: Array) -> tuple[Index, Index]:
         """Of places in the same pixels (n, k) the first one, if nothing hides it and rods reach it, and its pixel."""
-        pixel = np.round(flat / self._cell).astype(np.int64)
+        pixel, depth = _whole(flat / self._cell), np.round(depth / self._cell, _DIGITS) * self._cell
         if not len(pixel):
             return np.empty(0, dtype=np.int64), pixel
         least, shape = pixel.min(axis=0) - 1, np.ptp(pixel, axis=0) + 3
         # cells hide what is behind them also where their middles are in other pixels, so that no wall has holes
         wide = np.stack(np.meshgrid(*[[-_HALF, _HALF]] * flat.shape[1]), axis=-1).reshape(-1, 1, flat.shape[1])
-        covered = np.round(flat / self._cell + wide).astype(np.int64) - least
+        covered = _whole(flat / self._cell + wide) - least
         nearest = np.full(int(np.prod(shape)), np.inf)
         number = np.ravel_multi_index(tuple(np.moveaxis(covered, -1, 0)), tuple(shape))
         np.minimum.at(nearest, number.ravel(), np.tile(depth, len(wide)))
@@ -236,7 +239,7 @@ class Unknown:
         offset, size = image.offset[:, some], int(image.offset.max(initial=0)) + 1
         number = offset + size * np.arange(_ANGLES)[:, None]
         total = np.bincount(number.ravel(), np.tile(value[some], _ANGLES), _ANGLES * size)
-        angle, most = divmod(int(total.argmax()), size)
+        angle, most = divmod(int(np.round(total, _DIGITS).argmax()), size)
         height = float((most + image.least[angle]) * self._cell)
         return float(total.max(initial=0.0)), image.normals[angle], height
 
@@ -250,7 +253,7 @@ class Unknown:
         seen = [self._first(places, near, normal, along) for along in others]
         while len(chosen) < _PROBED and len(others):
             gains = [float(gain[rows].sum()) for rows in seen]
-            best = int(np.argmax(gains))
+            best = int(np.argmax(np.round(gains, _DIGITS)))
             if gains[best] < _LEAST:
                 break
             chosen.append(others[best])
@@ -292,3 +295,8 @@ def _together(rows: list[Probings], planes: int) -> Planned:
     if not any(len(row.travel) for row in rows):
         return Planned(nothing, 0)
     return Planned(Probings(*(np.concatenate(columns) for columns in zip(*rows, strict=True))), planes)
+
+
+def _whole(values: Array) -> Index:
+    """The nearest whole numbers, of values that rounding may have moved to either side of a half alike."""
+    return np.round(np.round(values, _DIGITS)).astype(np.int64)
