@@ -56,23 +56,28 @@ class Followed(NamedTuple):
     status: NDArray[np.int8]
 
 
-def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> list[Followed]:
-    """The sweep of each body in -x, over base positions (n,) that do not rise, with the friction angles (n,)."""
+def follow(
+    outlines: Outlines, bases: list[Array], friction_angles: list[Array], *, single: bool = False
+) -> list[Followed]:
+    """The sweep of each body in -x, over base positions (n,) that do not rise, with the friction angles (n,).
+
+    With `single` a sweep ends with the first sample in which the rod touches at several places.
+    """
     # also at places between touch-down and the first base position, and between those that are far apart
     dense = [_dense(outlines.touch_down(body) + 1e-3, base) for body, base in enumerate(bases)]
     angles = [
         angle[np.searchsorted(rows, np.arange(len(base)))]
         for (base, rows), angle in zip(dense, friction_angles, strict=True)
     ]
-    sweeps = _Sweeps(outlines, [base for base, _ in dense], angles)
+    sweeps = _Sweeps(outlines, [base for base, _ in dense], angles, single)
     while sweeps.left():
         sweeps.leap()
         # steps of few sweeps take as long as those of many: four are stepped for each that waits for the tables
         while len(sweeps.going) > 4 * sweeps.left():
             sweeps.step()
     return [
-        Followed(rods.rows(rows), status[rows])
-        for rods, status, (_, rows) in zip(sweeps.sampled, sweeps.status, dense, strict=True)
+        Followed(rods.rows(rows[rows < end]), status[rows[rows < end]])
+        for rods, status, (_, rows), end in zip(sweeps.sampled, sweeps.status, dense, sweeps.end, strict=True)
     ]
 
 
@@ -105,9 +110,12 @@ def _dense(start: float, base: Array) -> tuple[Array, Index]:
 class _Sweeps:
     """Sweeps (m,) under way: their present rods and what they have passed."""
 
-    def __init__(self, outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> None:
-        self.outlines, self.bases, self.friction = outlines, bases, friction_angles
+    def __init__(
+        self, outlines: Outlines, bases: list[Array], friction_angles: list[Array], single: bool = False
+    ) -> None:
+        self.outlines, self.bases, self.friction, self.single = outlines, bases, friction_angles, single
         m = len(bases)
+        self.end = np.array([len(base) for base in bases], dtype=np.intp)
         self.rods = free_rods(np.array([base[0] if len(base) else np.inf for base in bases]))
         self.earlier = free_rods(self.rods.x0)  # one step before
         self.sample, self.stride = np.zeros(m, dtype=np.intp), np.full(m, _STEP)
@@ -149,12 +157,12 @@ class _Sweeps:
                 waiting = [*waiting, i] if start.shape is not None else waiting
             elif start.shape is None:
                 self.pause[i], self.patience[i] = self.patience[i], 2 * self.patience[i]
-        left = np.array([i for i in waiting if self.sample[i] < len(self.bases[i])], dtype=np.intp)
+        left = np.array([i for i in waiting if self.sample[i] < self.end[i]], dtype=np.intp)
         if len(left):
             self.shape[left] = self._points(self.rods.rows(left))
         for i in folded:
             self._let_go(i, _ACROSS)
-        gone = [i for i in folded if self.sample[i] < len(self.bases[i]) and i not in self.waits]
+        gone = [i for i in folded if self.sample[i] < self.end[i] and i not in self.waits]
         self.going = np.union1d(self.going, np.append(left, gone)).astype(np.intp)
 
     def left(self) -> int:
@@ -228,7 +236,7 @@ class _Sweeps:
             else:
                 self._let_go(i, _ACROSS)
         elsewhere = {*self.waits, *self.folded}
-        left = np.array([self.sample[i] < len(self.bases[i]) and i not in elsewhere for i in rows], dtype=bool)
+        left = np.array([self.sample[i] < self.end[i] and i not in elsewhere for i in rows], dtype=bool)
         self.going = rows[left]
 
     def _around_corners(self, rows: Index, aim: Array, zeta: Array) -> tuple[Mask, Rods, Array]:
@@ -271,8 +279,10 @@ class _Sweeps:
         known = self.chain[sweep] is None
         self.status[sweep][sample] = kinds[min(int(rod.count[0]), 2)] if known else SweepStatus.UNRESOLVED
         self.sample[sweep] += 1
+        if self.single and self.status[sweep][sample] == SweepStatus.SEVERAL_CONTACTS:
+            self.end[sweep] = self.sample[sweep]
         self._keep_place(sweep, rod)
-        if known and rod.count[0] <= 1 and self.sample[sweep] < len(self.bases[sweep]) and self.singles.known[sweep]:
+        if known and rod.count[0] <= 1 and self.sample[sweep] < self.end[sweep] and self.singles.known[sweep]:
             self.pause[sweep] -= 1
             if self.pause[sweep] <= 0:
                 self.waits.append(sweep)

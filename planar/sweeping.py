@@ -209,11 +209,13 @@ def sweep_all(
     samples: int | None = None,
     shares: ArrayLike | None = None,
     rod: Rod | None = None,
+    single: bool = False,
 ) -> list[Sweep]:
     """Many sweeps at once: `sweep` for every contour with its friction and, unless `samples` is given, its base.
 
     `shares` (n,), fractions rising from 0 to 1, are used instead of `samples` for base positions that are not evenly spaced
-    over the travel from touch-down to the end of the sweep.  Raises ValueError as `sweep` does.
+    over the travel from touch-down to the end of the sweep.  With `single` each sweep ends where the rod comes to touch at
+    several places, and has fewer samples.  Raises ValueError as `sweep` does.
     """
     if (base is None) + (samples is None) + (shares is None) != 2:
         raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
@@ -234,7 +236,7 @@ def sweep_all(
         if not (rod is None or rod.is_straight_and_uniform):
             raise ValueError("a rod that is not straight, uniform and weightless is swept along convex contours only")
         columns = [frictions[i] for i in others], [bases[i] for i in others]
-        sweeps.update(zip(others, _sweep_any([contours[i] for i in others], *columns, spread), strict=True))
+        sweeps.update(zip(others, _sweep_any([contours[i] for i in others], *columns, spread, single), strict=True))
     polygons = {i: polygon.vertices for i in convex if isinstance(polygon := contours[i], Polygon)}
     groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
     groups += [([i], contours[i].path()) for i in convex if i not in polygons]
@@ -388,7 +390,7 @@ def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], sp
 
 
 def _sweep_any(
-    contours: list[Contour], frictions: list[Array], bases: list[Array | None], spread: Array
+    contours: list[Contour], frictions: list[Array], bases: list[Array | None], spread: Array, single: bool
 ) -> list[Sweep]:
     """Sweeps along contours that are not convex."""
     outlines = Outlines([contour.loops() for contour in contours])
@@ -404,8 +406,8 @@ def _sweep_any(
         base_positions = [start + spread * (end - start) for start, end in zip(starts, ends, strict=True)]
     _check_sizes(frictions, base_positions)
     friction = [np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, base_positions, strict=True)]
-    followed = follow(outlines, base_positions, [np.arctan(mu) for mu in friction])
-    return [_of_rods(outlines, *found, mu) for found, mu in zip(followed, friction, strict=True)]
+    followed = follow(outlines, base_positions, [np.arctan(mu) for mu in friction], single=single)
+    return [_of_rods(outlines, *found, mu[: len(found.status)]) for found, mu in zip(followed, friction, strict=True)]
 
 
 def _of_rods(outlines: Outlines, rods: Rods, status: NDArray[np.int8], friction: Array) -> Sweep:

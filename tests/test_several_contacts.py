@@ -142,6 +142,17 @@ def test_mirror_image():
     assert swept.status.tolist() == [1, 2, 2]
 
 
+def test_a_sweep_of_single_contacts_ends_at_its_second_one():
+    polygon, base = planar.Polygon(letter_l_outline(4.5)), np.linspace(0.2, -0.6, 12)
+    (whole,), (single,) = (planar.sweep_all([polygon], [0.2], base=[base], single=single) for single in (False, True))
+    end = len(single)
+    assert 0 < end <= np.flatnonzero(whole.status == SweepStatus.SEVERAL_CONTACTS)[0] + 1 < len(whole)
+    for name in ("x0", "status", "phase", "f0x", "m0z", "friction"):
+        np.testing.assert_array_equal(getattr(single, name), getattr(whole, name)[:end])
+    (free,) = planar.sweep_all([planar.Circle(0.3, (0.0, 0.8))], [0.2], base=[base], single=True)
+    assert len(free) == len(base)
+
+
 def test_samples_reach_from_touch_down_to_the_end():
     swept = planar.sweep(planar.Polygon(letter_l_outline(1.2)), 0.3, samples=5)
     assert (swept.status > SweepStatus.FREE).all()

@@ -25,13 +25,13 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.poses import AWAY
 from scan3d.spatial.bodies import sphere_directions
 
-# Cells of the grid along the longest side of the box, and around it.
-_CELLS, _MARGIN = 56, 2
+# Size of the grid's cells, relative to the diagonal of the box: two are as wide as a place that is touched.  Cells around it.
+_CELL, _MARGIN = TOUCHED / 2, 2
 # How far apart the probings in a plane are, relative to the diagonal.
 _APART = 0.015
-# Directions, and those of them that are looked at in a round; angles of the planes along each of them; directions in a plane,
-# and how many of them are probed along, the first one included.
-_DIRECTIONS, _LOOKED_AT, _ANGLES, _IN_PLANE, _PROBED = 96, 40, 24, 16, 4
+# Directions, and those of them that are looked along in a round, as places tell, of which so many are asked; angles of the
+# planes along each of them; directions in a plane, and how many of them are probed along, the first one included.
+_DIRECTIONS, _LOOKED_AT, _ASKED, _ANGLES, _IN_PLANE, _PROBED = 192, 20, 256, 24, 16, 4
 _TURNS = np.pi / _ANGLES * np.arange(_ANGLES)
 # Directions that are looked along again in the next round, turned by so much in radians, because most was seen along them.
 _BEST, _BESIDE = 8, 0.1
@@ -101,7 +101,7 @@ class Unknown:
         self._low, self._high, self._length, self._floor = low, high, length, floor
         self._away = AWAY * length if away is None else away
         self._diagonal = float(np.linalg.norm(high - low))
-        self._cell = float((high - low).max()) / _CELLS
+        self._cell = _CELL * self._diagonal
         shape = np.ceil((high - low) / self._cell).astype(int) + 2 * _MARGIN
         self._origin = (low + high) / 2 - (shape - 1) / 2 * self._cell
         self._free, self._inside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
@@ -123,7 +123,7 @@ class Unknown:
 
     def aimed(self, start: Array, axes: Array) -> None:
         """Count what probings (n) aimed at whose clamps, with axes (n, 3, 3), began at places (n, 3)."""
-        cells, _ = self._border()
+        cells, _, _ = self._border()
         places = self._origin + self._cell * cells
         height = np.einsum("ni,ni->n", axes[:, 2], start)
         rows = np.round(np.column_stack([axes[:, 1:].reshape(-1, 6), height / self._cell]), 6)
@@ -150,17 +150,17 @@ class Unknown:
 
     def known(self) -> float:
         """The share of the border of what is believed to be of the body that has a contact nearby."""
-        _, gain = self._border()
+        _, gain, _ = self._border()
         return float((gain == 0).mean()) if len(gain) else 0.0
 
     def next_round(self, most: int = PER_ROUND) -> Planned:
         """The probings in at most so many planes that gain most; none if nothing is left to gain."""
-        cells, gain = self._border()
+        cells, gain, body = self._border()
         places = self._origin + self._cell * cells
         turn = Rotation.random(rng=self._random).as_matrix()
-        directions = self._allowed((turn @ sphere_directions(_DIRECTIONS)).T[self._random.permutation(_DIRECTIONS)])
         beside = Rotation.from_rotvec(self._random.normal(0, _BESIDE, (len(self._best_seen), 3)))
-        directions = np.concatenate([directions[:_LOOKED_AT], self._allowed(beside.apply(self._best_seen))])
+        directions = np.concatenate([(turn @ sphere_directions(_DIRECTIONS)).T, beside.apply(self._best_seen)])
+        directions = self._promising(self._allowed(directions), cells, gain, body)
         seen = [self._seen(places, along) for along in directions]
         # through a narrow neck few directions lead, and those beside them see more
         value = [float(gain[image.rows].sum()) for image in seen]
@@ -185,8 +185,36 @@ class Unknown:
         """Those of the directions (n, 3) in which a rod that comes from outside stays above the floor: not upwards."""
         return directions[directions[:, 2] <= NEGLIGIBLE] if np.isfinite(self._floor) else directions
 
-    def _border(self) -> tuple[Index, Array]:
-        """The cells (b, 3) of the border, and what a contact there gains (b,)."""
+    def _promising(self, directions: Array, cells: Index, gain: Array, body: Mask) -> Array:
+        """Those of directions (n, 3) along which most is gained, as told by some of the border's cells (b, 3): which of the
+        directions lead there, free of the cells of the body.  What one direction sees counts for less in the others."""
+        if not gain.any():
+            return directions[:0]
+        asked = self._random.choice(len(cells), min(_ASKED, int((gain > 0).sum())), replace=False, p=gain / gain.sum())
+        start, shape = cells[asked], np.array(body.shape)
+        free = np.ones((len(asked), len(directions)), dtype=bool)
+        ray = np.arange(free.size)
+        for step in 1 + np.arange(2 * int(np.linalg.norm(shape))) / 2:
+            of, along = np.divmod(ray, len(directions))
+            index = _whole(start[of] - (step + 0.5) * directions[along])
+            inside = ((index >= 0) & (index < shape)).all(axis=1)
+            ray, index = ray[inside], index[inside]
+            hit = body[tuple(index.T)]
+            free.flat[ray[hit]] = False
+            ray = ray[~hit]
+            if not len(ray):
+                break
+        chosen: list[int] = []
+        left = gain[asked]
+        for _ in range(min(_LOOKED_AT, len(directions))):
+            value = np.round(left @ free, _DIGITS)
+            value[chosen] = -1.0
+            chosen.append(int(value.argmax()))
+            left = np.where(free[:, chosen[-1]], left / 2, left)
+        return directions[chosen]
+
+    def _border(self) -> tuple[Index, Array, Mask]:
+        """The cells (b, 3) of the border, what a contact there gains (b,), and the cells of the body."""
         to_free = ndimage.distance_transform_edt(~self._free) if self._free.any() else np.inf
         body = self._inside.copy()
         if self._inside.any():
@@ -199,7 +227,7 @@ class Unknown:
             distance = cKDTree(self._contacts).query(self._origin + self._cell * cells)[0]
         distance = np.round(distance / near, _DIGITS) * near
         gain = np.where(distance > near, np.minimum(distance / near, _MOST), 0.0)
-        return cells, gain * 0.5 ** self._tried[tuple(cells.T)]
+        return cells, gain * 0.5 ** self._tried[tuple(cells.T)], body
 
     def _seen(self, places: Array, along: Array) -> _Image:
         """The image of places along a direction: of those in the same pixel the first one."""
@@ -214,22 +242,29 @@ class Unknown:
 
     def _nearest(self, flat: Array, depth: Array) -> tuple[Index, Index]:
         """Of places in the same pixels (n, k) the first one, if nothing hides it and rods reach it, and its pixel."""
-        pixel, depth = _whole(flat / self._cell), np.round(depth / self._cell, _DIGITS) * self._cell
-        if not len(pixel):
-            return np.empty(0, dtype=np.int64), pixel
-        least, shape = pixel.min(axis=0) - 1, np.ptp(pixel, axis=0) + 3
+        flat, depth = flat / self._cell, np.round(depth / self._cell, _DIGITS)
+        if not len(flat):
+            return np.empty(0, dtype=np.int64), np.empty(flat.shape, dtype=np.int64)
         # cells hide what is behind them also where their middles are in other pixels, so that no wall has holes
-        wide = np.stack(np.meshgrid(*[[-_HALF, _HALF]] * flat.shape[1]), axis=-1).reshape(-1, 1, flat.shape[1])
-        covered = _whole(flat / self._cell + wide) - least
+        pixel, *ends = (_whole(flat + beside) for beside in (0.0, -_HALF, _HALF))
+        least = ends[0].min(axis=0)
+        shape = ends[1].max(axis=0) - least + 1
+        rows_of = np.cumprod([1, *shape[:0:-1]])[::-1]
+        key = (pixel - least) @ rows_of
+        # (2 or 4, n) the pixels of the corners of a square around each place
+        covered = np.zeros((1, len(flat)), dtype=np.int64)
+        for low, high, row in zip(*((end - least).T for end in ends), rows_of, strict=True):
+            covered = np.concatenate([covered + row * low, covered + row * high])
         nearest = np.full(int(np.prod(shape)), np.inf)
-        number = np.ravel_multi_index(tuple(np.moveaxis(covered, -1, 0)), tuple(shape))
-        np.minimum.at(nearest, number.ravel(), np.tile(depth, len(wide)))
-        key = np.ravel_multi_index(tuple((pixel - least).T), tuple(shape))
-        seen = depth <= nearest[key] + self._cell
+        np.minimum.at(nearest, covered.ravel(), np.tile(depth, len(covered)))
         # rods end where the clamp comes near the hull
-        rows = np.flatnonzero(seen & (depth - depth.min(initial=np.inf) <= self._length - self._away))
-        order = rows[np.argsort(depth[rows], kind="stable")]
-        first = order[np.unique(key[order], return_index=True)[1]]
+        reached = depth - depth.min() <= (self._length - self._away) / self._cell
+        rows = np.flatnonzero((depth <= nearest[key] + 1) & reached)
+        rows = rows[np.argsort(depth[rows], kind="stable")]
+        # the first one of each pixel is written last
+        first = np.full(len(nearest), -1)
+        first[key[rows[::-1]]] = rows[::-1]
+        first = first[first >= 0]
         return first, pixel[first]
 
     def _best(self, image: _Image, gain: Array) -> tuple[float, Array, float]:

@@ -27,7 +27,7 @@ from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
 from scan3d.spatial.bodies import cross
-from scan3d.spatial.march import SpatialRod, ends, free_reactions
+from scan3d.spatial.march import ends, free_reactions
 from scan3d.units import UNITS_M
 
 # Rounds of the iteration, and by how much a place changes at its end, in rod lengths.
@@ -134,7 +134,7 @@ def felt_along(
     normals = face_normals(mesh)
     point, force, moment = hanging.copy(), weight.copy(), in_air.copy()
     distance, active = np.full(n, np.inf), np.arange(n)
-    resolved = np.ones(n, dtype=bool)
+    resolved, steps = np.ones(n, dtype=bool), None
     for number in range(_ROUNDS):
         beside = point[:, active].copy()
         beside[1] = 0.0
@@ -150,10 +150,17 @@ def felt_along(
             local[:, 2] = 0.0
         pushed = stop * _direction(local, np.arctan(friction[active])).T
         pulled = None if down is None else down[:, active]
+        before, last = point[:, active], force[:, active]
         force[:, active] = weight[:, active] - pushed
-        before = point[:, active]
-        moment[:, active], point[:, active] = _bent(bent, force[:, active], pulled, before)
-        moved = np.abs(point[:, active] - before)[[0, 2]].max(axis=0, initial=0.0)
+        moment[:, active] += cross(before, force[:, active] - last)
+        # the forces of later rounds hardly differ, so that as many steps are enough
+        found = ends(bent, force[:, active], moment[:, active], pulled, steps)
+        steps = found.steps
+        # the moment that is left at the end, about d1 = z, d2 = x and d3 = y, as the rod is nearly straight
+        change = found.moment[[1, 2, 0]]
+        moment[:, active] += change
+        point[:, active] = found.point
+        moved = np.abs(np.concatenate([(found.point - before)[[0, 2]], change])).max(axis=0, initial=0.0)
         active = active[moved > _SETTLED]
         if not len(active):
             break
@@ -179,20 +186,3 @@ def _direction(normal: Array, friction_angle: Array) -> Array:
     tilt = np.arctan2(np.hypot(normal[:, 0], normal[:, 2]), -normal[:, 1])
     angle = np.maximum(tilt - friction_angle, 0.0)[:, None]
     return np.asarray(np.sin(angle) * aside - np.cos(angle) * [0.0, 1.0, 0.0])
-
-
-def _bent(rod: SpatialRod, force: Array, gravity: Array | None, near: Array) -> tuple[Array, Array]:
-    """Support moments (3, n) for which the moment at the rod's end vanishes, by support forces (3, n), and the ends (3, n).
-
-    `near` are places (3, n) near the ends.
-    """
-    # that of the contact force at the end; of rods with a weight a start
-    moment = cross(near, force)
-    for _ in range(_ROUNDS):
-        found = ends(rod, force, moment, gravity)
-        # about d1 = z, d2 = x and d3 = y, as the rod is nearly straight
-        change = found.moment[[1, 2, 0]]
-        if not (np.abs(change) > _SETTLED).any():
-            break
-        moment = moment + change
-    return moment, found.point

@@ -488,7 +488,9 @@ class AxisScan:
             else:
                 sweeps = list(zip(contours, friction, strict=True))
                 # fewer that are stepped together take longer for each
-                results = shared(partial(_sweep_together, shares=shares), sweeps, 192)
+                # probings come where contacts behind second ones are left out
+                single = self.plan.probing != "off"
+                results = shared(partial(_sweep_together, shares=shares, single=single), sweeps, 192)
         except InputError:
             raise
         except ValueError as error:
@@ -515,9 +517,9 @@ class AxisScan:
         return further[: max(MAX_SWEEPS - len(done), 0)]
 
 
-def _sweep_together(sweeps: Sequence[tuple[planar.Contour, Array]], shares: Array) -> list[planar.Sweep]:
+def _sweep_together(sweeps: Sequence[tuple[planar.Contour, Array]], shares: Array, single: bool) -> list[planar.Sweep]:
     contours, friction = zip(*sweeps, strict=True)
-    return planar.sweep_all(contours, friction, shares=shares)
+    return planar.sweep_all(contours, friction, shares=shares, single=single)
 
 
 def width_of(mesh: Any, frame: Array) -> float:

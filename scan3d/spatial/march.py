@@ -103,12 +103,14 @@ class Ends(NamedTuple):
     """(3, n) place relative to the clamp."""
     moment: Array
     """(3, n) internal moment about d1, d2 and d3, zero where the rod is touched at its end alone."""
+    steps: int
+    """Steps along the rod."""
 
 
-def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None) -> Ends:
+def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None, steps: int | None = None) -> Ends:
     """The ends of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
 
-    Reactions of rods with weight are the whole ones; the contact force acts at the end.  Raises ValueError as `contacts`.
+    Reactions of rods with weight are the whole ones; the contact force acts at the end.  `steps` and errors as of `contacts`.
     """
     start, _ = _clamped(rod, force, moment, gravity)
 
@@ -119,8 +121,9 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
         return np.concatenate([state[_R], state[_M]])
 
     # rods that are touched at their ends may be bent so little that one step is enough
-    found = marched(np.arange(force.shape[1]), enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1))
-    return Ends(found[:3], found[3:])
+    steps = steps or enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1)
+    found = marched(np.arange(force.shape[1]), steps)
+    return Ends(found[:3], found[3:], steps)
 
 
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
