@@ -116,6 +116,20 @@ def test_lines_along_walls_stop_at_the_rim_and_pass_between_bars_that_are_close(
     np.testing.assert_allclose(first_crossings(bars, gap, np.array([0.0, 0, -1]))[0], [np.inf, np.inf, 8.5])
 
 
+def test_lines_in_the_planes_of_faces_meet_these_where_they_are():
+    # the first planes of a scan are at a sixth, a half and five sixths of the height
+    disc = trimesh.creation.cylinder(10, 6, sections=64)
+    mesh = trimesh.util.concatenate([disc, trimesh.creation.box((50, 8, 4), np.eye(4) + _shift(20, 0, 0))])
+    size = float(np.linalg.norm(mesh.extents))
+    moves = Unknown(*mesh.bounds, 1.1 * size).first_round().moves
+    found, _ = first_met(mesh, moves.start, moves.axes[:, 1])
+    met = np.isfinite(found)
+    places = moves.start[met] + found[met, None] * moves.axes[met, 1]
+    distance = pyvista.wrap(places).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"]
+    assert len(places) > 500
+    assert np.abs(distance).max() < 1e-9 * size
+
+
 RODS = {
     "uniform": Rod.of_length(0.05).without_thickness(),
     "tapered": Rod(0.05, 1e-4, diameter_m=3e-4, tip_diameter_m=1e-4).without_thickness(),

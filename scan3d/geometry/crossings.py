@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import AT_ONCE, Array, Index, Mask, ranges
+from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges, ratio
 from scan3d.geometry.triangles import largest_of_three
+
+# Twice the area of a face as seen along a line, in squares of the size, below which rounding moves the place along the line.
+_STEEP = 1e-6
 
 
 def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index]:
@@ -90,4 +93,27 @@ def _met(corners: Array, faces: Index, lines: Array) -> tuple[Mask, Array]:
     depth = np.zeros(len(met))
     weights = sides[inside] / total[inside, None]
     depth[some[inside]] = (weights * corners[faces[inside], 2]).sum(axis=1)
+    size = float(np.abs(corners).max())
+    steep = np.flatnonzero(inside)[np.abs(total[inside]) < _STEEP * size**2]
+    depth[some[steep]] = _along_faces(corners[faces[steep]], x[steep], y[steep], ROUNDING * size)
     return met, depth
+
+
+def _along_faces(corners: Array, x: Array, y: Array, least: float) -> Array:
+    """Where (m,) lines along the third axis meet faces (m, 3, 3) that are nearly along them: in the faces, whatever rounding does
+    to the places in which they are met; where a line lies in its face, at the face's first edge.
+
+    A face is narrower than `least` if the line may lie in it.
+    """
+    ends = np.roll(corners, -1, axis=1)
+    change = ends[..., 0] - corners[..., 0]
+    part = np.where(change == 0, 0.0, ratio(x[:, None] - corners[..., 0], change))
+    crossed = (change != 0) & (part >= 0) & (part <= 1)
+    cut = corners[..., 1:] + part[..., None] * (ends[..., 1:] - corners[..., 1:])
+    first = np.where(crossed, cut[..., 1], np.inf).argmin(axis=1)
+    last = np.where(crossed, cut[..., 1], -np.inf).argmax(axis=1)
+    rows = np.arange(len(x))
+    low, high = cut[rows, first], cut[rows, last]
+    width = high[:, 0] - low[:, 0]
+    share = np.where(np.abs(width) > least, np.clip(ratio(y - low[:, 0], width), 0.0, 1.0), 0.0)
+    return np.asarray(low[:, 1] + share * (high[:, 1] - low[:, 1]))
