@@ -100,10 +100,10 @@ def _met(corners: Array, faces: Index, lines: Array) -> tuple[Mask, Array]:
 
 
 def _along_faces(corners: Array, x: Array, y: Array, least: float) -> Array:
-    """Where (m,) lines along the third axis meet faces (m, 3, 3) that are nearly along them: in the faces, whatever rounding does
-    to the places in which they are met; where a line lies in its face, at the face's first edge.
+    """Where (m,) lines along the third axis meet faces (m, 3, 3) that are nearly along them.
 
-    A face is narrower than `least` if the line may lie in it.
+    That is in the faces, wherever rounding moves it along the line.  A face that is seen narrower than `least` may have the line
+    in it, and is met at its first edge.
     """
     ends = np.roll(corners, -1, axis=1)
     change = ends[..., 0] - corners[..., 0]
