@@ -102,8 +102,8 @@ def _met(corners: Array, faces: Index, lines: Array) -> tuple[Mask, Array]:
 def _along_faces(corners: Array, x: Array, y: Array, least: float) -> Array:
     """Where (m,) lines along the third axis meet faces (m, 3, 3) that are nearly along them.
 
-    That is in the faces, wherever rounding moves it along the line.  A face that is seen narrower than `least` may have the line
-    in it, and is met at its first edge.
+    That is in the faces, wherever rounding moves it along the line.  A face that is seen narrower than `least` may have the
+    line in it, and is met at its first edge.
     """
     ends = np.roll(corners, -1, axis=1)
     change = ends[..., 0] - corners[..., 0]
