@@ -160,6 +160,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
         "tip": int((cloud.phase == planar.Phase.TIP).sum()),
         "light": cloud.light,
         **({} if cloud.convex else _second(analysis)),
+        **({} if analysis.any_shape is None else {"off_surface": analysis.any_shape.off}),
         "left_out": 0 if cloud.left_out is None else len(cloud.left_out.rows),
         **({} if cloud.unmeasured is None else {"not_measured": len(cloud.unmeasured.rows)}),
     }
@@ -519,6 +520,9 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
     rows = [("second contacts", f"{left_out} samples left out, whose rod touched at another place as well")]
     if hidden:
         rows.append(("hidden", f"{hidden} contacts are wrong because a second one stayed hidden"))
+    if counts.get("off_surface"):
+        off = f"{counts['off_surface']} contacts lie farther from the surface than contacts are apart: they are wrong, or "
+        rows.append(("off the surface", off + "on features finer than what was touched; more slices show them"))
     if "known" in coverage and not counts.get("probings"):
         shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"
         rows.append(("surface known", f"{shares}, {_unknown(coverage, data['certificate']['unit'])}"))

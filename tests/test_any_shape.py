@@ -67,6 +67,16 @@ def test_no_contact_lies_deep_in_the_body():
     assert Search(np.asarray(faces)).nearest(cloud.points)[0].max() < spacing_of(cloud) / 3
 
 
+def test_sweeps_of_one_contact_each_resolve_what_their_clamps_pass():
+    recording, cloud = peanut()
+    alone = cloud.select(np.unique(cloud.sweep, return_index=True)[1])
+    with pytest.raises(InputError, match="no sweep with two contacts one after the other"):
+        spacing_of(alone)
+    same = np.diff(recording.sweep) == 0
+    step = 1e3 * np.median(np.linalg.norm(np.diff(recording.position_m, axis=0), axis=1)[same])
+    assert spacing_of(alone, recording) == pytest.approx(step)
+
+
 def test_vertices_that_are_known_lie_near_a_contact():
     recording, cloud = peanut()
     found = any_shape(recording, cloud)

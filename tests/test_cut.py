@@ -71,7 +71,7 @@ def test_surface_is_closed_and_near_the_body(name):
     assert off[known == 2].max() < TOUCHED * size
     assert (known == 2).mean() > 0.9
     assert off.mean() < 0.004 * size
-    assert not found.wrong.mean() > 0.01
+    assert not found.off.mean() > 0.01
 
 
 @pytest.mark.parametrize("name", ["torus", "two balls"])
@@ -115,7 +115,7 @@ def test_wrong_contacts_are_found_and_cost_little():
     # stopped before they touch
     points[chosen] -= 0.05 * size * along[chosen]
     found = cut_surface(points, along, lines)
-    assert found.wrong[chosen].mean() > 0.9
+    assert found.off[chosen].mean() > 0.9
     assert np.abs(two_balls(found.surface.vertices)).max() < 0.02 * size
 
 

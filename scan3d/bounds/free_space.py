@@ -131,14 +131,20 @@ class Contours(NamedTuple):
     """(n,) within which the true contour lies."""
 
 
-def spacing_of(cloud: Cloud) -> float:
-    """Median distance between successive contacts of a sweep, in the cloud's unit: what one sweep resolves."""
+def spacing_of(cloud: Cloud, recording: Recording | None = None) -> float:
+    """Median distance between successive contacts of a sweep, in the cloud's unit: what one sweep resolves.
+
+    Where no sweep has such contacts, that between successive places of the clamp, if the recording is given.
+    """
     next_one = (np.diff(cloud.sweep) == 0) & (np.diff(cloud.row) == 1)
     step = np.linalg.norm(np.diff(cloud.points, axis=0), axis=1)[next_one]
     step = step[step > 1e-6 * cloud.rod_length]
     if cloud.place_sd is not None:  # what noise moves a contact by at a corner is no step
         noise = 3 * float(np.median(cloud.place_sd))
         step = step[step > noise] if (step > noise).any() else step
+    if not len(step) and recording is not None:
+        step = np.linalg.norm(np.diff(recording.position_m, axis=0), axis=1)[np.diff(recording.sweep) == 0]
+        step = step[step > 0] / UNITS_M[cloud.unit]
     if not len(step):
         raise InputError(
             "the recording has no sweep with two contacts one after the other; take more samples in a sweep"
@@ -173,7 +179,7 @@ def sheets_of(recording: Recording, cloud: Cloud, beyond: float = 0.0) -> list[S
     rods = rods_of(recording, cloud)
     left = np.ones(len(cloud.slice_height), dtype=bool)
     found = []
-    cell = spacing_of(cloud) / _ACROSS
+    cell = spacing_of(cloud, recording) / _ACROSS
     while left.any():
         axis = cloud.slice_axis[np.argmax(left)]
         # sweeps to the one side and to the other have opposite axes

@@ -58,6 +58,8 @@ class AnyShape:
     """Distance of neighbouring slices, within which of a contact the body counts as reached; the largest of all axes."""
     coverage: dict[str, Any]
     """``known``, ``estimated``: shares of the area; ``unknown``: patches ``{center, area, extent}``, largest first."""
+    off: int
+    """Number of contacts that are `off` the surface, as of `cut.Cut`."""
 
 
 def any_shape(recording: Recording, cloud: Cloud) -> AnyShape:
@@ -89,7 +91,8 @@ def any_shape(recording: Recording, cloud: Cloud) -> AnyShape:
     )
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
     coverage = _coverage(found.surface, found.surface.vertex_attributes["known"])
-    return AnyShape(found.surface, float(contours.distance.max(initial=0.0)), apart, coverage)
+    off = int(found.off.sum())
+    return AnyShape(found.surface, float(contours.distance.max(initial=0.0)), apart, coverage, off)
 
 
 def _free(sheets: list[Sheets], step: float) -> Array:
@@ -191,7 +194,8 @@ def _from_anywhere(recording: Recording, cloud: Cloud) -> AnyShape:
     if patches:
         for patch, reason in zip(patches, _reasons(found.surface, patches, cloud, size), strict=True):
             patch["reason"] = reason
-    return AnyShape(found.surface, _contours_bound(recording, cloud), TOUCHED * size, coverage)
+    off = int(found.off.sum())
+    return AnyShape(found.surface, _contours_bound(recording, cloud), TOUCHED * size, coverage, off)
 
 
 def _contours_bound(recording: Recording, cloud: Cloud) -> float:

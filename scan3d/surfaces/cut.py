@@ -77,8 +77,9 @@ class Cut:
 
     surface: Any
     """A closed `trimesh.Trimesh`, outward; ``vertex_attributes["known"]``: 2 known, 1 estimated, 0 unknown."""
-    wrong: Mask
-    """(n,) contacts that free space forbids, or that lie inside the body: farther from the surface than contacts are apart."""
+    off: Mask
+    """(n,) contacts farther from the surface than contacts are apart: wrong ones, which free space forbids or which lie inside
+    the body, and those on features that are too fine for it."""
     spacing: float
     """Distance of neighbouring contacts."""
 
