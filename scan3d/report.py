@@ -543,7 +543,8 @@ def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
         return "nothing unknown"
     (wide, *place), symbol = lengths([unknown[0]["extent"], *unknown[0]["center"]], unit)
     left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
-    where = f"in {len(unknown)} patches, the largest {wide} {symbol} wide at ({', '.join(place)})"
+    patches = "in one patch" if len(unknown) == 1 else f"in {len(unknown)} patches, the largest"
+    where = f"{patches} {wide} {symbol} wide at ({', '.join(place)})"
     reason = unknown[0].get("reason")
     return f"{left} unknown, {where}" + (f": {reason}" if reason else "")
 

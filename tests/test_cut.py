@@ -4,9 +4,11 @@ import functools
 
 import numpy as np
 import pytest
+import pyvista
 
 from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
+from scan3d.surfaces import cut
 from scan3d.surfaces.cut import BETWEEN, cut_surface
 
 
@@ -26,7 +28,17 @@ def two_balls(points):
     return np.minimum(*(np.linalg.norm(points - [x, 0, 0], axis=-1) - 2 for x in (-1.6, 1.6)))
 
 
-BODIES = {"torus": (torus, 0), "shell": (shell, 2), "two balls": (two_balls, 2)}
+def bracket(points):
+    """About the distance (...) from two plates that meet in an edge."""
+
+    def box(low, high):
+        middle, half = np.add(low, high) / 2, np.subtract(high, low) / 2
+        return (np.abs(points - middle) - half).max(axis=-1)
+
+    return np.minimum(box([-2.8, -2.2, -2.8], [2.8, 2.2, -1.4]), box([-2.8, -2.2, -2.8], [-1.4, 2.2, 2.8]))
+
+
+BODIES = {"bracket": (bracket, 2), "torus": (torus, 0), "shell": (shell, 2), "two balls": (two_balls, 2)}
 
 
 @functools.cache
@@ -72,6 +84,25 @@ def test_surface_is_closed_and_near_the_body(name):
     assert (known == 2).mean() > 0.9
     assert off.mean() < 0.004 * size
     assert not found.off.mean() > 0.01
+
+
+def test_edges_between_contacts_are_sharp(monkeypatch):
+    along = np.linspace(-1.8, 1.8, 50)
+    edges = [(2.8, -1.4), (2.8, -2.8), (-2.8, -2.8), (-2.8, 2.8), (-1.4, 2.8), (-1.4, -1.4)]
+    places = pyvista.PolyData(
+        np.concatenate([np.stack([0 * along + x, along, 0 * along + z], axis=1) for x, z in edges])
+    )
+    sharp = surface_of("bracket")
+    monkeypatch.setattr(cut, "creased", lambda vertices, faces: (vertices, faces))
+    plain = cut_surface(*probed("bracket"))
+    off, cut_off = (
+        np.abs(places.compute_implicit_distance(pyvista.wrap(found.surface))["implicit_distance"])
+        for found in (sharp, plain)
+    )
+    assert np.quantile(off, 0.9) < 0.02 * sharp.spacing
+    assert np.quantile(cut_off, 0.5) > 0.2 * plain.spacing
+    # and smooth bodies stay as they are
+    assert len(cut_surface(*probed("torus")).surface.faces) == len(surface_of("torus").surface.faces)
 
 
 @pytest.mark.parametrize("name", ["torus", "two balls"])

@@ -117,16 +117,21 @@ def test_lines_along_walls_stop_at_the_rim_and_pass_between_bars_that_are_close(
 
 
 def test_lines_in_the_planes_of_faces_meet_these_where_they_are():
-    # the first planes of a scan are at a sixth, a half and five sixths of the height
     disc = trimesh.creation.cylinder(10, 6, sections=64)
     mesh = trimesh.util.concatenate([disc, trimesh.creation.box((50, 8, 4), np.eye(4) + _shift(20, 0, 0))])
     size = float(np.linalg.norm(mesh.extents))
     moves = Unknown(*mesh.bounds, 1.1 * size).first_round().moves
-    found, _ = first_met(mesh, moves.start, moves.axes[:, 1])
+    flat = np.abs(moves.axes[:, 2, 2]) == 1
+    start, along = moves.start[flat], moves.axes[flat, 1]
+    # in the planes of the box's faces, which the disc's walls cross, up to rounding
+    start[:, 2] = np.where(start[:, 2] > 0, 2.0, -2.0) + np.spacing(2.0) * np.random.default_rng(0).integers(
+        -1, 2, len(start)
+    )
+    found, _ = first_met(mesh, start, along)
     met = np.isfinite(found)
-    places = moves.start[met] + found[met, None] * moves.axes[met, 1]
+    places = start[met] + found[met, None] * along[met]
     distance = pyvista.wrap(places).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"]
-    assert len(places) > 500
+    assert len(places) > 300
     assert np.abs(distance).max() < 1e-9 * size
 
 

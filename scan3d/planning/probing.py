@@ -102,7 +102,7 @@ class Unknown:
         self._away = AWAY * length if away is None else away
         self._diagonal = float(np.linalg.norm(high - low))
         self._cell = _CELL * self._diagonal
-        shape = np.ceil((high - low) / self._cell).astype(int) + 2 * _MARGIN
+        shape = np.ceil(np.round((high - low) / self._cell, _DIGITS)).astype(int) + 2 * _MARGIN
         self._origin = (low + high) / 2 - (shape - 1) / 2 * self._cell
         self._free, self._inside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self._tried = np.zeros(shape, dtype=np.int32)
@@ -115,7 +115,7 @@ class Unknown:
         self._contacts = np.concatenate([self._contacts, points])
         self._mark(self._inside, points + 0.9 * self._cell * inward)
         reach = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
-        count = np.ceil(2 * reach / self._cell).astype(np.intp)
+        count = np.ceil(np.round(2 * reach / self._cell, _DIGITS)).astype(np.intp)
         line, rank = ranges(count)
         # a contact at the end is not free
         part = (rank / count[line])[:, None]
@@ -142,7 +142,8 @@ class Unknown:
         found = []
         for axis in np.eye(3):
             frame = slice_frame(axis)
-            for part in (1 / 6, 1 / 2, 5 / 6):
+            # in thirds, but not where bodies have faces and edges
+            for part in (np.arange(3) + self._random.uniform(0.3, 0.7, 3)) / 3:
                 height = float((self._low + part * (self._high - self._low)) @ axis)
                 directions = [np.cos(angle) * frame[0] + np.sin(angle) * frame[1] for angle in np.pi / 3 * np.arange(6)]
                 found += [self._row(axis, height, along) for along in self._allowed(np.array(directions))]
@@ -308,10 +309,10 @@ class Unknown:
         low, high = (corners @ axes.T).min(axis=0), (corners @ axes.T).max(axis=0)
         first, last = float(low[0]), float(high[0])
         if places is not None:
-            near = places[np.abs(places @ normal - height) <= 1.5 * self._cell] @ axes[0]
+            near = places[np.round(np.abs(places @ normal - height) / self._cell, _DIGITS) <= 1.5] @ axes[0]
             first, last = float(near.min()) - _MARGIN * self._cell, float(near.max()) + _MARGIN * self._cell
         apart = _APART * self._diagonal
-        count = int(np.ceil((last - first) / apart)) + 1
+        count = int(np.ceil(np.round((last - first) / apart, _DIGITS))) + 1
         # not at the same places in planes side by side
         x = (first + last) / 2 + apart * (np.arange(count) - (count - 1) / 2 + self._random.uniform(-0.5, 0.5))
         begin = low[1] - self._length - self._away

@@ -28,6 +28,7 @@ from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
+from scan3d.surfaces.creases import creased
 from scan3d.surfaces.tetrahedra import border, manifold, mend, parts, refined, shared
 
 KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
@@ -141,6 +142,7 @@ def cut_surface(
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0]])
     vertices, faces = manifold(vertices, faces, _APART * merged)
+    vertices, faces = creased(vertices, faces)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
     surface = trimesh.Trimesh(vertices, faces, process=False)
     surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")

@@ -5,6 +5,8 @@ Corners (t, 4) are numbers of points, and neighbours (t, 4) numbers of tetrahedr
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -85,37 +87,56 @@ def mend(body: Mask, wrong: Index, corners: Index, neighbours: Index, cost: Arra
     body[cell[change]] = ~inside[fan][change]
 
 
+class Edges(NamedTuple):
+    """The edges (e,) of faces (f, 3)."""
+
+    start: Index
+    """(e,) vertices, of which the first has the smaller number."""
+    end: Index
+    number: Index
+    """(f, 3) the edge after each of the corners."""
+
+    @classmethod
+    def of(cls, faces: Index) -> Edges:
+        pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).astype(np.int64)
+        count = int(faces.max()) + 1
+        key, number = np.unique(pairs[..., 0] * count + pairs[..., 1], return_inverse=True)
+        return cls(*np.divmod(key, count), number.reshape(-1, 3))
+
+
 def refined(vertices: Array, faces: Index, longest: float) -> tuple[Array, Index]:
     """Vertices (n, 3) and faces (f, 3) of the same surface, without edges longer than that: they are halved."""
     used, faces = without_unused(faces)
     vertices = vertices[used]
     while True:
-        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).astype(np.int64)
-        key, number = np.unique(edges[..., 0] * len(vertices) + edges[..., 1], return_inverse=True)
-        start, end = np.divmod(key, len(vertices))
-        halved = np.linalg.norm(vertices[end] - vertices[start], axis=1) > longest
+        edges = Edges.of(faces)
+        halved = np.linalg.norm(vertices[edges.end] - vertices[edges.start], axis=1) > longest
         if not halved.any():
             return vertices, faces
-        middle = np.cumsum(halved) - 1 + len(vertices)
-        vertices = np.concatenate([vertices, (vertices[start] + vertices[end])[halved] / 2])
-        number = number.reshape(-1, 3)
-        # turn each face so that its first edges are the halved ones
-        split = halved[number]
-        count = split.sum(axis=1)
-        first = np.where(count == 1, split.argmax(axis=1), np.where(count == 2, (split.argmin(axis=1) + 1) % 3, 0))
-        turn = (first[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(faces, turn, axis=1).T
-        ab, bc, ca = middle[np.take_along_axis(number, turn, axis=1)].T
-        parts = [faces[count == 0]]
-        for k, triangles in enumerate(
-            (
-                ((a, ab, c), (ab, b, c)),
-                ((ab, b, bc), (a, ab, bc), (a, bc, c)),
-                ((a, ab, ca), (ab, b, bc), (bc, c, ca), (ab, bc, ca)),
-            )
-        ):
-            parts += [np.stack(triangle, axis=1)[count == k + 1] for triangle in triangles]
-        faces = np.concatenate(parts)
+        middle = (vertices[edges.start] + vertices[edges.end])[halved] / 2
+        vertices, faces = np.concatenate([vertices, middle]), divided(faces, edges, halved, len(vertices))
+
+
+def divided(faces: Index, edges: Edges, split: Mask, first: int) -> Index:
+    """Faces (g, 3) whose edges (e,) have a vertex between their ends where they are split; these are numbered from `first`."""
+    middle = np.cumsum(split) - 1 + first
+    # turn each face so that its first edges are the split ones
+    here = split[edges.number]
+    count = here.sum(axis=1)
+    begin = np.where(count == 1, here.argmax(axis=1), np.where(count == 2, (here.argmin(axis=1) + 1) % 3, 0))
+    turn = (begin[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(faces, turn, axis=1).T
+    ab, bc, ca = middle[np.take_along_axis(edges.number, turn, axis=1)].T
+    parts = [faces[count == 0]]
+    for k, triangles in enumerate(
+        (
+            ((a, ab, c), (ab, b, c)),
+            ((ab, b, bc), (a, ab, bc), (a, bc, c)),
+            ((a, ab, ca), (ab, b, bc), (bc, c, ca), (ab, bc, ca)),
+        )
+    ):
+        parts += [np.stack(triangle, axis=1)[count == k + 1] for triangle in triangles]
+    return np.concatenate(parts)
 
 
 def manifold(points: Array, faces: Index, apart: float) -> tuple[Array, Index]:

@@ -1,0 +1,91 @@
+"""Edges of bodies, between the contacts on either side of them.
+
+A surface whose vertices are contacts cuts off what lies between the last contacts before an edge and the first ones behind it.
+Contacts have planes: that of a vertex is fitted to its neighbours or, near an edge, is that of a neighbour whose own neighbours
+are all on the vertex's side of it, which is the one that fits best (as in the filter of Kuwahara, 1976).  Where the planes at
+both ends of an edge of the surface differ much, the edge gets a vertex on the line in which they meet (Attene, Falcidieno,
+Rossignac and Spagnuolo, 2003).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, eye_array
+from scipy.sparse.csgraph import connected_components
+
+from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
+from scan3d.geometry.triangles import dot, spanned
+from scan3d.surfaces.tetrahedra import Edges, divided
+
+# Cosines of the angles between planes that meet in an edge: at smaller ones a smooth body may be bent, and at larger ones the
+# line in which they meet is far away.
+_BENT, _FOLDED = np.cos(np.radians([40.0, 120.0]))
+# Planes of an edge of the body are nearer to their vertices than this part of what those of a smooth one would be.
+_OFF = 0.5
+# The share of edges across a crease whose planes are that near, at least, and their number: on smooth bodies few are so.
+_SURE, _LEAST = 0.6, 8
+
+
+def creased(vertices: Array, faces: Index) -> tuple[Array, Index]:
+    """Vertices (n, 3) and faces (f, 3) of a closed surface through contacts, with further vertices on the edges of the body."""
+    edges = Edges.of(faces)
+    normals, off, own = _planes(vertices, faces, edges)
+    a, b = vertices[edges.start], vertices[edges.end]
+    one, other = normals[edges.start], normals[edges.end]
+    bend = dot(one, other)
+    middle = (a + b) / 2
+    # from the middle along both normals to the line in which the planes meet
+    rise, fall = dot(one, a - middle), dot(other, b - middle)
+    sine = np.maximum(1 - bend**2, NEGLIGIBLE)
+    place = middle + ((rise - bend * fall) / sine)[:, None] * one + ((fall - bend * rise) / sine)[:, None] * other
+    bent = (bend < _BENT) & (bend > _FOLDED)
+    sure = bent & (np.maximum(off[edges.start], off[edges.end]) <= _OFF * np.minimum(own[edges.start], own[edges.end]))
+    # edges with a face between them cross the same crease
+    start, end = (edges.number[:, k].ravel() for k in ([0, 1, 2], [1, 2, 0]))
+    both = bent[start] & bent[end]
+    links = coo_array((np.ones(int(both.sum())), (start[both], end[both])), shape=(len(bent), len(bent)))
+    part = connected_components(links, directed=False)[1]
+    count, sures = np.bincount(part, bent), np.bincount(part, sure)
+    split = bent & (sures >= np.maximum(_SURE * count, _LEAST))[part]
+    while True:
+        # faces that would be turned over, or have no area, stay as they are
+        new = np.concatenate([vertices, place[split]])
+        parts = divided(faces, edges, split, len(vertices))
+        old, made = parts < len(vertices), parts >= len(vertices)
+        facing = dot(unit_or_zero(spanned(new[parts]))[:, None], normals[np.where(old, parts, 0)])
+        turned = made.any(axis=1) & (old & (facing < NEGLIGIBLE)).any(axis=1)
+        if not turned.any():
+            return new, parts
+        split[np.flatnonzero(split)[parts[turned][made[turned]] - len(vertices)]] = False
+
+
+def _planes(vertices: Array, faces: Index, edges: Edges) -> tuple[Array, Array, Array]:
+    """Normals (n, 3), outward, of planes at vertices (n, 3), how far (n,) they are from these and from the neighbours that they
+    are fitted to, and how far (n,) planes would be that are fitted to a vertex's own neighbours."""
+    n = len(vertices)
+    ones = np.ones(len(edges.start), dtype=np.float64)
+    beside = coo_array((ones, (edges.start, edges.end)), shape=(n, n)).tocsr()
+    beside = beside + beside.T + eye_array(n, format="csr")
+    count = beside.sum(axis=1)[:, None]
+    middle = beside @ vertices / count
+    # moments about each vertex, which lose no digits
+    row = np.repeat(np.arange(n), np.diff(beside.indptr))
+    offset = vertices[beside.indices] - middle[row]
+    moments = np.zeros((n, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            moments[:, i, j] = moments[:, j, i] = np.bincount(row, offset[:, i] * offset[:, j], n)
+    spread, axes = np.linalg.eigh(moments / count[..., None])
+    outward = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(outward, faces[:, k], spanned(vertices[faces]))
+    normals = axes[:, :, 0] * np.sign(dot(axes[:, :, 0], outward))[:, None]
+    rough = np.sqrt(np.maximum(spread[:, 0], 0.0))
+    # of the planes around each vertex the one that is nearest to it and to its own neighbours
+    around = (beside @ beside).tocsr()
+    row, column = np.repeat(np.arange(n), np.diff(around.indptr)), around.indices
+    off = rough[column] + np.abs(dot(normals[column], vertices[row] - middle[column]))
+    off = np.where(dot(normals[column], unit_or_zero(outward)[row]) > 0, off, np.inf)
+    order = np.lexsort((column, np.round(off / off[np.isfinite(off)].max(initial=1e-300), 9), row))
+    best = order[around.indptr[:-1]]
+    return normals[column[best]], off[best], rough
