@@ -103,7 +103,7 @@ def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call,
     [
         ("scna cube.stl", 'Unknown command "scna". Did you mean "scan".*; see \'scan3d --help\''),
         ("scan", "MESH is missing; see 'scan3d scan --help'"),
-        ("scan cube.stl", "--out is missing or has no value; see 'scan3d scan --help'"),
+        ("simulate cube.stl", "--out is missing or has no value; see 'scan3d simulate --help'"),
         ("scan cube.stl --out out --frictoin 3", "Unknown option: --frictoin. Did you mean --friction"),
         ("reconstruct log.csv", "--out is missing: it names the folder for the results; see"),
         ("show o --view compar", 'Invalid value "compar" for --view.* Did you mean "compare"'),
@@ -118,6 +118,23 @@ def test_wrong_usage(call, tmp_path, monkeypatch, asked, sentence):
     assert (code, stdout) == (2, "")
     assert_sentence(stderr, sentence)
     assert tree(tmp_path) == {}
+
+
+def test_words_that_other_programs_take(call):
+    assert call("version") == call("--version")
+    assert call("help", "scan") == call("scan", "--help")
+    code, _, stderr = call("show", "nowhere")
+    assert code == 1
+    assert_sentence(stderr, "there is no nowhere; show a scan's folder")
+
+
+def test_a_scan_goes_beside_its_mesh_and_over_nothing(call, tmp_path, no_pictures):
+    mesh = Path(shutil.copy(CUBE, tmp_path / "part.stl"))
+    (tmp_path / "part-scan").write_text("mine")
+    for name in ("part-scan-2", "part-scan-3"):
+        assert call("scan", mesh, *FEW, "--quiet")[0] == 0
+        assert (tmp_path / name / "report.json").exists()
+    assert (tmp_path / "part-scan").read_text() == "mine"
 
 
 def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):

@@ -106,6 +106,8 @@ def run(argv: Sequence[str] | None = None) -> int:
     if not words:
         print(GUIDE, end="")
         return 0
+    if words[0] in ("help", "version"):
+        words = [*words[1:], f"--{words[0]}"]
     name = words[0] if words[0] in COMMANDS else ""
     try:
         command, bound, _ = app().parse_args(words, exit_on_error=False, print_error=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,7 +55,7 @@ def scan(
     mesh: Mesh,
     /,
     *,
-    out: Folder,
+    out: Folder | None = None,
     options: Options = Options(),
     overwrite: Overwrite = False,
     strict: Strict = False,
@@ -63,7 +64,7 @@ def scan(
     """All steps: simulate, reconstruct, build the surface, compare.
 
     For example:
-      scan3d scan meshes/egg.stl --out out
+      scan3d scan meshes/egg.stl
       scan3d scan part.stl --out out --unit in --slices 128 --axis xyz
       scan3d scan part.stl --out out --friction 0.0:0.4 --noise 1e-4 --seed 7
       scan3d scan part.stl --out out --config settings.toml --json
@@ -73,13 +74,20 @@ def scan(
     mesh
         a closed mesh: STL, PLY, OBJ, OFF or GLB
     out
-        folder for the results
+        folder for the results (default: beside the mesh, such as part-scan; part-scan-2 if that exists)
     """
     chosen = options.chosen()
     if options.print_config:
         return print_settings(dataclasses.asdict(chosen))
     inputs = {"file of settings": options.config}
+    out = out or _beside(mesh)
     return _report(_scanned(mesh, chosen, out, overwrite, output, inputs), out, strict, output)
+
+
+def _beside(mesh: Path) -> Path:
+    """A folder beside a mesh that does not exist."""
+    names = (f"{mesh.stem}-scan{number}" for number in chain([""], map("-{}".format, count(2))))
+    return next(place for place in map(mesh.with_name, names) if not place.exists())
 
 
 def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, output: Output = Output()) -> int:
