@@ -267,7 +267,7 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
 
     Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have two further
     columns, the standard deviations of their places and of their normals' angles.  Contacts of the spatial model lie in no
-    slices; instead of the slice they have the rod's tangent and its bending angle.
+    slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods that probe.
     """
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
@@ -286,10 +286,13 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
         columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
     if cloud.recovered is not None:
         columns["recovered"] = cloud.recovered.astype(np.uint8)
-    if cloud.tangents is not None and cloud.bending_angle is not None:
+    if cloud.model == "spatial":
+        nothing = np.full((len(cloud), 3), np.nan)
+        tangents = nothing if cloud.tangents is None else cloud.tangents
+        bending = nothing[:, 0] if cloud.bending_angle is None else cloud.bending_angle
         del columns["slice"]
-        columns |= dict(zip(("tx", "ty", "tz"), cloud.tangents.astype(np.float32).T, strict=True))
-        columns["bending"] = cloud.bending_angle.astype(np.float32)
+        columns |= dict(zip(("tx", "ty", "tz"), tangents.astype(np.float32).T, strict=True))
+        columns["bending"] = bending.astype(np.float32)
     return table(columns)
 
 

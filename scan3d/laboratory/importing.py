@@ -20,7 +20,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
 from scan3d.files.tables import Table, read_table
-from scan3d.laboratory import signals
+from scan3d.laboratory import probed, signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
     Log,
@@ -56,6 +56,8 @@ KIND = "import"
 _NEARLY_ALL = 0.9
 # Part of the rows in contact that the sweeps of a right log hold, whose retracts begin in contact.
 _HALF = 0.55
+# Part of the largest force, at least, of one that is felt where sweeps are not the measure: more than rounding.
+_ANY = 1e-6
 _ELSEWHERE = (
     ": the others are not used; check the order, the convention and the direction of the orientation under [columns], the "
     'clamp\'s frame under [clamp], and whether strokes back are sweeps as well, directions = "both" under [sweeps]'
@@ -74,6 +76,8 @@ class Summary:
     samples: int
     """Of the recording."""
     sweeps: int
+    """Probings among them."""
+    probings: int
     sweeps_with_contact: int
     six_axis: bool
     left_out: Mapping[str, int]
@@ -210,9 +214,9 @@ def _converted(table: Table, map: Map) -> Imported:
             f"position and [rod] length_m of {map.name}"
         )
     noise = _clamp_noise(sensed.noise, map, known)
-    sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise)
+    sweep, backwards, probing, notes = _sweeps(log, wrench, position, quaternion, map, noise, table.name)
     touched = _touching(sensed.wrench, noise, 0.05)  # a part that only contact has
-    check_directions(map, table.name, np.where(measured, sweep, -1), position, quaternion, touched)
+    check_directions(map, table.name, np.where(measured, sweep, -1), position, quaternion, touched, probing)
     notes = [*log.notes, *sensed.notes, *notes]
     if backwards.any():
         # after half a turn about the rod a stroke along +x is one along -x
@@ -228,6 +232,9 @@ def _converted(table: Table, map: Map) -> Imported:
         )
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[signals.thinned(sweep[within], every)]
+    if probing.any() and every > 1:  # of a probing the first row with a force is the contact
+        pressed = within[probing[within] & _touching(wrench, noise, _ANY)[within]]
+        kept = np.union1d(kept, pressed[np.unique(sweep[pressed], return_index=True)[1]])
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
     recording = _with_steps(recording, _in_clamp(_rounding(log.wrench), map, known))
     count = len(kept)
@@ -240,7 +247,8 @@ def _converted(table: Table, map: Map) -> Imported:
         recording = replace(recording, source={**recording.source, "ringing": rung})
     _check_sizes(recording, map, table.name)
     sweeps = len(np.unique(recording.sweep))
-    parts = unmeasured.parts(sweep, measured)
+    # a rod that goes on along itself comes from where it was, whatever was not measured on its way
+    parts = unmeasured.parts(sweep, measured | probing)
     recording = replace(recording, sweep=parts[kept])
     touching = felt(recording.force_N, noise[0])
     summary = Summary(
@@ -250,6 +258,7 @@ def _converted(table: Table, map: Map) -> Imported:
         rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
         samples=len(recording),
         sweeps=sweeps,
+        probings=len(np.unique(sweep[kept][probing[kept]])),
         sweeps_with_contact=len(np.unique(sweep[kept][touching])),
         six_axis=recording.six_axis,
         left_out={
@@ -468,26 +477,54 @@ def _with_steps(recording: Recording, rounding: tuple[float, float]) -> Recordin
 
 
 def _sweeps(
-    log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise: tuple[float, float]
-) -> tuple[NDArray[np.int64], Mask, list[str]]:
-    """Number of the sweep (n,) of each row, -1 outside, rows (n,) of strokes along +x that count as sweeps, and notes."""
+    log: Log,
+    wrench: Array,
+    position: Array,
+    quaternion: Array,
+    map: Map,
+    noise: tuple[float, float],
+    where: str,
+) -> tuple[NDArray[np.int64], Mask, Mask, list[str]]:
+    """Number of the sweep (n,) of each row, -1 outside, rows (n,) of strokes along +x that count as sweeps, rows (n,) of
+    probings, and notes."""
     none = np.zeros(len(log), dtype=bool)
-    both = map.directions == "both"
+    both, length = map.directions == "both", map.rod.length_m
+    force = np.linalg.norm(wrench[:, :3], axis=1) / map.rod.force_unit_N
+    poses = probed.Poses(position, quaternion, np.where(_touching(wrench, noise, _ANY), force, 0.0), length)
     if log.sweep is not None:
+        notes: list[str] = []
+        if log.probe is None:
+            sweep, probing = probed.of_numbers(poses, log.sweep)
+        else:
+            sweep, probing, notes = probed.of_moves(poses, log.sweep, log.probe, where)
         if both:
-            numbers = np.unique(log.sweep[log.sweep >= 0])
-            none = np.isin(log.sweep, numbers[travel_angles(log.sweep, position, quaternion) > np.pi / 2])
-        return log.sweep, none, []
-    stroke, back = strokes(position, quaternion, map.rod.length_m)
+            swept = np.where(probing, -1, sweep)
+            numbers = np.unique(swept[swept >= 0])
+            none = np.isin(swept, numbers[travel_angles(swept, position, quaternion) > np.pi / 2])
+        return sweep, none, probing, notes
+    stroke, back = strokes(position, quaternion, length)
     counting = ~back | both
     sweep = np.append(np.where(counting, np.cumsum(counting) - 1, -1), -1)[stroke]
     backwards = (sweep >= 0) & np.append(back, False)[stroke]
-    sweep, left = without_transfers(sweep, _touching(wrench, noise), position, quaternion, map.rod.length_m)
+    motions = probed.of_strokes(poses)
+    probing = none.copy()
+    for rows in motions:
+        probing[rows] = True
+    sweep[probing] = -1
+    touching = _touching(wrench, noise)
+    if motions and not touching[sweep >= 0].any():  # the clamp goes from one probing to the next
+        sweep[:] = -1
+    sweep, left = without_transfers(sweep, touching, position, quaternion, length)
+    for k, rows in enumerate(motions, start=sweep.max() + 1):
+        sweep[rows] = k
+    if motions:  # in the order of the log
+        numbers, first, _ = ends(sweep)
+        sweep = np.append(np.argsort(np.argsort(first)), -1)[sweep]
     note = (
         f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they "
         "are sweeps, number them in a column and name it as sweep under [columns]"
     )
-    return sweep, backwards & (sweep >= 0), [note] if left else []
+    return sweep, backwards & (sweep >= 0), probing, [note] if left else []
 
 
 def _recording(
@@ -556,6 +593,11 @@ def _check_sizes(recording: Recording, map: Map, table: str) -> None:
             "0.0001 to 2000 are expected; check [units] force, the columns of the force, [tare] and [rod] of "
             f"{map.name}"
         )
+    # a rod that is pushed along itself has hardly any
+    touching &= ~recording.in_probings
+    force = np.linalg.norm(recording.force_N[touching], axis=1)
+    if not len(force):
+        return
     strong = force >= np.median(force)
     moment = np.abs(recording.moment_Nm[touching][strong])
     # over the largest possible value, which follows from the energy of the bent rod with a free end
@@ -569,9 +611,9 @@ def _check_sizes(recording: Recording, map: Map, table: str) -> None:
 
 
 def _bent(recording: Recording) -> float:
-    """The part of the rows with a force that are those of a bent rod whose contact presses against the sweep."""
+    """The part of the rows of sweeps with a force that are those of a bent rod whose contact presses against the sweep."""
     force, moment = recording.wrench()
-    touching = felt(force, recording.noise_force_N, 0.05)
+    touching = felt(force, recording.noise_force_N, 0.05) & ~recording.in_probings
     force, moment = force[touching] / recording.rod.force_unit_N, moment[touching] / recording.rod.moment_unit_Nm
     found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP)
     return float(((found.status == inverse.Status.OK) & (force[:, 0] < 0)).mean()) if len(force) else 1.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from scan3d.files.tables import Table
 from scan3d.files.text import did_you_mean
 from scan3d.laboratory import clocks
 from scan3d.laboratory.signals import roughly_air
-from scan3d.poses import MOVES, measures
+from scan3d.poses import MOVES, Move, measures
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentences
@@ -48,6 +48,8 @@ class Log:
     """(6,) whether the sensor has the channel."""
     sweep: NDArray[np.int64] | None
     """(n,) number of the sweep, -1 between sweeps; None if neither sweeps nor moves were logged."""
+    probe: Mask | None
+    """(n,) rows whose move is a probing; None if moves were not logged."""
     row: NDArray[np.int64]
     """(n,) row of the table."""
     unmeasured: Mask
@@ -78,7 +80,8 @@ def read_log(table: Table, map: Map) -> Log:
         raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")
     row = np.flatnonzero(kept)
     quaternion = _quaternions(table, map, orientation[row], row)
-    place, sweep, unmeasured = position[row], _sweeps(table, map), unmeasured[row]
+    move = None if columns.move is None else table.words(_find(table, map, columns.move, "move")[0], MOVES)
+    place, sweep, unmeasured = position[row], _sweeps(table, map, move), unmeasured[row]
     if (held := held_poses(place, quaternion, wrench[row], map.rod.length_m)) is not None:
         place, quaternion = held.position, held.quaternion
         unmeasured = unmeasured | np.isin(np.arange(len(row)), held.stale)
@@ -96,6 +99,7 @@ def read_log(table: Table, map: Map) -> Log:
         wrench=wrench,
         present=present,
         sweep=None if sweep is None else sweep[row],
+        probe=None if move is None else (move == Move.PROBE)[row],
         row=row,
         unmeasured=unmeasured,
         notes=notes,
@@ -316,20 +320,19 @@ def _time(table: Table, map: Map, reference: Reference) -> Array:
     return timed.numbers(column, gaps=map.layout.missing == "drop")
 
 
-def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
-    """Number of the sweep (n,), -1 between sweeps; None if neither sweeps nor moves were logged.
+def _sweeps(table: Table, map: Map, move: NDArray[Any] | None) -> NDArray[np.int64] | None:
+    """Number of the sweep (n,), -1 between sweeps, by the moves (n,), if they were logged; None if neither was logged.
 
-    Sweeps with names are numbered as they appear; without numbers, each run of rows in which the robot sweeps is one.
+    Sweeps with names are numbered as they appear; without numbers, each run of rows of one move in which the robot measures is
+    one.  Raises InputError for a sweep with rows of two moves.
     """
     columns = map.columns
-    sweeping = None
-    if columns.move is not None:
-        sweeping = measures(table.words(_find(table, map, columns.move, "move")[0], MOVES))
+    measuring = None if move is None else measures(move)
     if columns.sweep is None:
-        if sweeping is None:
+        if move is None or measuring is None:
             return None
-        starts = np.diff(np.concatenate([[False], sweeping]).astype(np.int8)) == 1
-        return np.where(sweeping, np.cumsum(starts) - 1, -1)
+        starts = measuring & (np.diff(move, prepend=Move.APPROACH) != 0)
+        return np.where(measuring, np.cumsum(starts) - 1, -1)
     column, _ = _find(table, map, columns.sweep, "sweep")
     values = table.columns[column]
     if values.dtype.kind != "f":
@@ -338,7 +341,16 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
         sweep = np.array([numbers[name] for name in names], dtype=np.int64)
     else:
         sweep = np.maximum(table.whole_numbers(column, gaps=True), -1)
-    return sweep if sweeping is None else np.where(sweeping, sweep, -1)
+    if move is None or measuring is None:
+        return sweep
+    both = np.intersect1d(*(sweep[(move == kind) & (sweep >= 0)] for kind in (Move.SWEEP, Move.PROBE)))
+    if len(both):
+        k = int(np.argmax((sweep == both[0]) & (move == Move.PROBE)))
+        raise InputError(
+            f"{table.place(k)} has the move probe in {table.title(column)} {values[k]}, which has rows of the move sweep as "
+            "well: number sweeps and probings apart, or correct the column of the move"
+        )
+    return np.where(measuring, sweep, -1)
 
 
 def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | None]]:
@@ -374,21 +386,18 @@ def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
 
 
 # Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
-_OVER_JITTER = 20.0
+OVER_JITTER = 20.0
 # The clamp turns if its axes change by more than this many radians over a displacement.
 _TURNING = 0.02
 
 
-def strokes(position: Array, quaternion: Array, length: float) -> tuple[NDArray[np.int64], Mask]:
-    """The strokes along the x axis of the clamp, of poses (n, 3) and (n, 4); `length` is the rod's.
+def strokes(position: Array, quaternion: Array, length: float, axis: int = 0) -> tuple[NDArray[np.int64], Mask]:
+    """The strokes along an axis of the clamp, by default x, of poses (n, 3) and (n, 4); `length` is the rod's.
 
-    (n,) the number of the stroke of each row, -1 outside strokes, and whether each stroke (s,) is along +x.
+    (n,) the number of the stroke of each row, -1 outside strokes, and whether each stroke (s,) is along + of the axis.
     """
-    n = len(position)
-    # standard deviation of the errors of positions, by noise and by rounding
-    jitter = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
-    jitter = jitter if jitter > NEGLIGIBLE * length else 0.0
-    axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, 0]
+    n, jitter = len(position), jitter_of(position, length)
+    axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, axis]
     lag, moved = _displacements(position, jitter)
     along = ratio((moved * axes).sum(axis=1), np.linalg.norm(moved, axis=1))
     turned = np.linalg.norm(axes[np.minimum(np.arange(n) + lag, n - 1)] - axes, axis=1)
@@ -401,11 +410,17 @@ def strokes(position: Array, quaternion: Array, length: float) -> tuple[NDArray[
         travel = _travel(position[start:stop], axes[start], jitter)
         turn = np.linalg.norm(axes[stop - 1] - axes[start])
         # shorter ones are turning points, and those that turn more lead to another side of the body
-        long = travel >= max(0.02 * length, _OVER_JITTER * jitter) and stop - start >= 3
+        long = travel >= max(0.02 * length, OVER_JITTER * jitter) and stop - start >= 3
         if long and turn <= 0.2 * travel / length + turn_error:
             sweep[start:stop] = len(signs)
             signs.append(sign > 0)
     return sweep, np.array(signs, dtype=bool)
+
+
+def jitter_of(position: Array, length: float) -> float:
+    """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if it is negligible."""
+    jitter = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
+    return jitter if jitter > NEGLIGIBLE * length else 0.0
 
 
 def _travel(position: Array, axis: Array, jitter: float) -> float:
@@ -418,7 +433,7 @@ def _travel(position: Array, axis: Array, jitter: float) -> float:
     if length == 0 or abs(line @ axis) < np.cos(0.1) * length:
         return 0.0
     off = np.linalg.norm(np.cross(position - position[0], line / length), axis=1).max()
-    return length if off <= 0.05 * length + _OVER_JITTER / 4 * jitter else 0.0
+    return length if off <= 0.05 * length + OVER_JITTER / 4 * jitter else 0.0
 
 
 def _error(values: Array) -> float:
@@ -448,7 +463,7 @@ def _displacements(position: Array, jitter: float) -> tuple[NDArray[np.intp], Ar
     window, largest = 1, 1 if jitter == 0 else n // 8
     while window <= largest and window < n:
         step = position[window:] - position[:-window]
-        far = np.linalg.norm(step, axis=1) > _OVER_JITTER * jitter
+        far = np.linalg.norm(step, axis=1) > OVER_JITTER * jitter
         new = np.flatnonzero(far & (lag[:-window] == 0))
         lag[new], moved[new] = window, step[new]
         if far.mean() >= 0.25:  # the usual motion; 16 times slower motion is still recognised
@@ -537,13 +552,19 @@ def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) 
 
 
 def check_directions(
-    map: Map, where: str, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
+    map: Map,
+    where: str,
+    sweep: NDArray[np.int64],
+    position: Array,
+    quaternion: Array,
+    touched: Mask,
+    probing: Mask,
 ) -> None:
     """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
 
-    `where` is the name of the table, and `touched` (n,) are the rows in contact.
+    `where` is the name of the table; `touched` (n,) are the rows in contact, and `probing` (n,) those of probings.
     """
-    angle = travel_angles(sweep, position, quaternion)
+    angle = travel_angles(np.where(probing, -1, sweep), position, quaternion)
     known = angle[np.isfinite(angle)]
     if len(angle) and not len(known):
         raise InputError(
@@ -554,7 +575,8 @@ def check_directions(
         known = np.minimum(known, np.pi - known)
     elsewhere = held(sweep, touched) < 0.2  # retracts and strokes back hold contacts as well, but not most of them
     # a sweep is along the axis within 0.3 rad
-    if len(known) and (known < 0.3).mean() >= 0.5 and not elsewhere:
+    along_x = (known < 0.3).mean() >= 0.5 if len(known) else probing.any()
+    if along_x and not elsewhere:
         return
     axis = _usual_axis(np.where(touched, 0, -1) if elsewhere else sweep, position, quaternion)
     advice = (

@@ -231,10 +231,10 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
         "momentUnit": recording.rod.moment_unit_Nm / float(moment_unit),
         "colors": {"rod": parts.ROD, "force": parts.FORCE, "selected": parts.SELECTED, "curves": parts.REACTION_COLORS},
     }
-    angles = scene.column("bending")
-    if angles is not None:
-        bending = np.zeros(len(rows))
-        bending[samples.of_contact] = np.nan_to_num(angles)
+    if spatial:
+        angles, bending = scene.column("bending"), np.zeros(len(rows))
+        if angles is not None:
+            bending[samples.of_contact] = np.nan_to_num(angles)
         data["bending"] = _array(bending)
     return data
 

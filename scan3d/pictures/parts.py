@@ -524,7 +524,7 @@ def sweep_direction(sweep: ShownSweep) -> Array:
 
 def is_spatial(scene: Scene) -> bool:
     """Whether the contacts come from the spatial model, in which the rod bends in a plane of its own in every sample."""
-    return scene.column("bending") is not None
+    return scene.column("slice") is None
 
 
 def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Array) -> tuple[Array, Array]:
