@@ -97,8 +97,9 @@ class Session(Described):
         recording, cloud, space = self.recording, self.cloud, self.plan.space()
         unknown = rig.unknown(space, cloud.points, [self._seed, len(self._recordings)])
         unknown.add(cloud.points, into_body(recording, cloud), passed_lines(recording, cloud))
-        along, scale = recording.in_probings, UNITS_M[recording.unit]
-        unknown.aimed(recording.position_m[along] / scale, recording.axes()[along])
+        along = np.flatnonzero(recording.in_probings)
+        begins = along[np.unique(recording.sweep[along], return_index=True)[1]]
+        unknown.aimed(recording.position_m[begins] / UNITS_M[recording.unit], recording.axes()[begins])
         return self._numbered(rig.probings(unknown.next_round(planes).moves, space))
 
     def planned(self) -> PoseList:

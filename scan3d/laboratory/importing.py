@@ -202,11 +202,12 @@ def convert(table: Table, map: Map) -> Imported:
 def _converted(table: Table, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
-    sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
+    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
+    at_ends = probed.ends_of(position, quaternion, map.rod.length_m)
+    sensed = _filtered(_tared(log, clock, map, table.name, at_ends), log, clock, map, table.name)
     measured = np.ones(len(log), dtype=bool) if sensed.measured is None else sensed.measured
     sensed = sensed._replace(wrench=np.where(measured[:, None], sensed.wrench, 0.0))
     wrench, known = _clamp_wrench(sensed.wrench * (1 + map.gains), log.present, map, table.name)
-    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     reach = float(np.ptp(position, axis=0).max()) / map.rod.length_m
     if reach < 0.02:
         raise InputError(
@@ -320,7 +321,8 @@ class _Sensed(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
+def _tared(log: Log, clock: Array, map: Map, where: str, at_ends: Mask) -> _Sensed:
+    """The log without its zero; in rows (n,) `at_ends` of strokes along the rod it may touch, however lightly."""
     none, calm = np.zeros(len(log), dtype=bool), ~log.unmeasured
     jumps = jumps_of(log.wrench, calm)
     calm = calm & ~amid(jumps, len(log))
@@ -333,7 +335,9 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
         zero = zero - min(np.unique(zero, axis=0), key=lambda level: _away(log.wrench[calm] - level))
         sensed = _Sensed(log.wrench - zero, zero, none, [], np.zeros(6), none, none)
     elif isinstance(map.air, str):
-        sensed = _levelled(log, clock, jumps, lambda wrench: find_air(wrench, clock, calm, where, calm), calm)
+        sensed = _levelled(
+            log, clock, jumps, lambda wrench: find_air(wrench, clock, calm & ~at_ends, where, calm), calm
+        )
     elif log.time_s is None:
         raise InputError(
             f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
@@ -346,7 +350,9 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
         # where the rod rings is neither zero nor noise; a rod that rings all the time leaves what was found before
         with contextlib.suppress(InputError):
             quiet = calm & ~swings
-            sensed = _levelled(log, clock, jumps, lambda wrench: find_air(wrench, clock, quiet, where, calm), quiet)
+            sensed = _levelled(
+                log, clock, jumps, lambda wrench: find_air(wrench, clock, quiet & ~at_ends, where, calm), quiet
+            )
             swings = signals.ringing(sensed.wrench, sensed.noise, run)
     still = np.where(swings[:, None], 0.0, sensed.wrench)
     notes = _of_jumps(jumps, log.time_s)

@@ -94,6 +94,25 @@ def of_moves(
 
 def of_strokes(poses: Poses) -> list[Index]:
     """The rows of each probing of a log that numbers neither sweeps nor moves, in order."""
+    return [motion.rows for motion in _told([motion for motion in _there_and_back(poses) if motion.straight])]
+
+
+def ends_of(position: Array, quaternion: Array, length: float) -> Mask:
+    """The rows (n,) in which a clamp that went along +y has come to its end, from which it goes straight back.
+
+    In a log of probings the rod may touch there, and nowhere else.
+    """
+    found = np.zeros(len(position), dtype=bool)
+    poses = Poses(position, quaternion, np.zeros(len(position)), length)
+    slack = poses.slack
+    for motion in _there_and_back(poses):
+        away = np.linalg.norm(position[motion.rows] - position[motion.rows[-1]], axis=1)
+        found[motion.rows[away <= 2 * slack]] = True
+    return found
+
+
+def _there_and_back(poses: Poses) -> list[_Forward]:
+    """The strokes along +y of a log after which the clamp goes straight back, or the log ends."""
     stroke, forth = strokes(poses.position, poses.quaternion, poses.length, axis=1)
     _, first, last = ends(stroke)
     if not len(first):
@@ -105,8 +124,7 @@ def of_strokes(poses: Poses) -> list[Index]:
     aside = np.hypot(moved[:, 0], moved[:, 2])
     turns = forth & ~np.append(forth[1:], False) & (aside <= max(4 * slack, _TURNS * poses.length))
     stop = np.append(last[1:], len(stroke) - 1)
-    motions = [_forward(poses, np.arange(first[k], stop[k] + 1), slack) for k in np.flatnonzero(turns)]
-    return [motion.rows for motion in _told([motion for motion in motions if motion.straight])]
+    return [_forward(poses, np.arange(first[k], stop[k] + 1), slack) for k in np.flatnonzero(turns)]
 
 
 def _told(straight: list[_Forward]) -> list[_Forward]:

@@ -549,9 +549,12 @@ def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
-        components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
-        of_recording = np.linalg.norm(components[indices], axis=1)
-        same = forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=0) | recovered(scene)
+        # in the plane of a sweep, or of all channels, as those of probings are
+        read = [recording.force_N, *([recording.wrench()[0]] if recording.six_axis else [])]
+        same = recovered(scene)
+        for components in read:
+            of_recording = np.linalg.norm(components[indices], axis=1)
+            same = same | (forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=0))
         if np.array_equal(recording.sweep[indices], sweeps) and np.all(same):
             return indices
     raise InputError(

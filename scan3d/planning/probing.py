@@ -41,6 +41,8 @@ _MOST = 3.0
 _HALF = 0.2
 # Gain of a row of probings, at least: about as much as two places far from any contact.
 _LEAST = 2.5
+# Components of axes that differ by no more are those of one plane.
+_ALIKE = 0.01
 # Digits of places in cells and of gains that decide: rounding does not.
 _DIGITS = 6
 PLANES = 3
@@ -122,12 +124,19 @@ class Unknown:
         self._mark(self._free, lines[line, 0] + part * (lines[line, 1] - lines[line, 0]))
 
     def aimed(self, start: Array, axes: Array) -> None:
-        """Count what probings (n) aimed at whose clamps, with axes (n, 3, 3), began at places (n, 3)."""
+        """Count what probings (n) aimed at whose clamps, with axes (n, 3, 3), began at places (n, 3).
+
+        Those side by side in a plane follow each other, and count once, however noisy their poses are.
+        """
         cells, _, _ = self._border()
         places = self._origin + self._cell * cells
         height = np.einsum("ni,ni->n", axes[:, 2], start)
-        rows = np.round(np.column_stack([axes[:, 1:].reshape(-1, 6), height / self._cell]), 6)
-        for k in np.unique(rows, axis=0, return_index=True)[1]:
+        k = -1
+        for row in range(len(start)):
+            same = k >= 0 and np.abs(axes[row] - axes[k]).max() <= _ALIKE
+            if same and abs(height[row] - height[k]) <= self._cell / 2:
+                continue
+            k = row
             normal, along = axes[k, 2], axes[k, 1]
             near = np.flatnonzero(np.round(np.abs(places @ normal - height[k]) / self._cell, _DIGITS) <= 0.5)
             self._tried[tuple(cells[self._first(places, near, normal, along)].T)] += 1

@@ -566,7 +566,10 @@ def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
 
 
 def _with_probings(recording: Recording, along: Mask, method: str, model: str) -> Cloud:
-    """`_reconstructed` of a recording of which some rows (n,) are those of probings, and the others those of sweeps."""
+    """`_reconstructed` of a recording of which some rows (n,) are those of probings, and the others those of sweeps.
+
+    A rod that probes is not bent in the plane of a sweep, so that all channels that were measured are read.
+    """
     number, swept = np.flatnonzero(~along), None
     if len(number):
         part = of_rows(recording, number)
@@ -576,7 +579,9 @@ def _with_probings(recording: Recording, along: Mask, method: str, model: str) -
     number = np.flatnonzero(along)
     try:
         part = of_rows(recording, number)
-        probed = renumbered(with_rig_errors(probings.contacts(part, model), part), number)
+        read = "spatial" if recording.six_axis else model
+        found = with_rig_errors(probings.contacts(part, read), part)
+        probed = renumbered(replace(found, model=model), number)
     except NoContactError:
         if swept is None:
             raise

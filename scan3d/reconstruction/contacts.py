@@ -459,6 +459,7 @@ def radius_errors(cloud: Cloud) -> dict[str, float | None]:
     """
     unknown = np.isnan(cloud.normals[:, 0])
     sd = np.empty(0) if cloud.normal_sd is None or cloud.model == "planar" else cloud.normal_sd[~unknown]
+    sd = sd[np.isfinite(sd)]  # that of normals from a surface that was cut is not known
     # 95 % of the errors of a direction, both components of which are normally distributed, lie within
     return {
         "moved": cloud.rod_radius,

@@ -107,7 +107,7 @@ def free_lines(recording: Recording, cloud: Cloud) -> Array:
     if not len(rows):
         return np.empty((0, 2, 3))
     scale, rod, axes = UNITS_M[recording.unit], recording.rod, recording.axes()
-    pressed = felt(recording.pressing(cloud.model == "spatial"), recording.noise.of_reactions(rod))[rows]
+    pressed = felt(recording.pressing(recording.six_axis), recording.noise.of_reactions(rod))[rows]
     number = np.cumsum(np.diff(recording.sweep[rows], prepend=-1) != 0) - 1
     before: Index = np.cumsum(pressed) - pressed  # rows that felt something, before each
     free = ~pressed & (before == before[begins][number])
