@@ -112,7 +112,8 @@ def bend_by_half_angle(s: Array, c: Array, q: Array) -> tuple[Shape, Array, Arra
     if beyond.any():
         first[beyond] = 2 * ellipk(m[beyond]) - first[beyond]
         second[beyond] = 2 * ellipe(m[beyond]) - second[beyond]
-        difference = first - second
+        # of these alone: no contact depends on which others there are
+        difference[beyond] = first[beyond] - second[beyond]
     # along and across the force; m sin u0 sin u' = q tan(α/2)
     along = first - 2 * (difference + q * (s / c))
     across = 2 * q

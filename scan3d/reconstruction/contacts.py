@@ -70,6 +70,58 @@ def model_of(recording: Recording, method: str = "closed-form", model: str | Non
 # --- the planar model ---
 
 
+class PlaneReadings(NamedTuple):
+    """What follows from each row (n,) of a recording in the plane of its sweep, dimensionless."""
+
+    found: planar.Contacts
+    error: planar.Errors
+    felt: Mask
+    """(n,) whether the force stands out from the noise."""
+    touching: Mask
+    """(n,) whether the row gives a contact."""
+    tolerance: Array
+    """(n,) with which contacts count as those of the tip."""
+
+
+def _in_plane(recording: Recording) -> tuple[tuple[Array, Array, Array, Array], planar.Rod]:
+    """What `planar.reconstruct` takes: base, reactions and rod."""
+    force, about = recording.reactions(six_axis=False)
+    return (np.zeros(len(about)), force[:, 0], force[:, 1], about[:, 2]), recording.in_plane()
+
+
+def readings_in_plane(recording: Recording, method: str = "closed-form") -> PlaneReadings:
+    """The contact of each row, which depends on no other rows."""
+    rod, (columns, bent) = recording.rod, _in_plane(recording)
+    noise = recording.noise.of_reactions(rod)
+    told: dict[str, Any] = {}
+    if (by_moment := _by_moment(recording)) is not None:
+        told = {"covariance": by_moment[:, IN_PLANE[:, None], IN_PLANE]}
+    elif recording.completed is not None:
+        tip = planar.reconstruct(*columns, rod=bent).phase == planar.Phase.TIP
+        told = recording.completed.errors | {"tip": tip}
+    error = planar.errors(*columns[1:], noise=noise, rod=bent, **told)
+    pressed = felt(recording.pressing(six_axis=False), noise)
+    tolerance = np.asarray(tip_tolerance(recording, pressed, contact_tolerance(error), "planar"))
+    # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
+    if rod.diameter_m:
+        steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
+        reach = rod.diameter_m / 2 / rod.length_m / np.cos(np.nan_to_num(steep))
+        tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)
+    found = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
+    return PlaneReadings(found, error, pressed, pressed & (found.phase != planar.Phase.NONE), tolerance)
+
+
+def places_in_plane(
+    recording: Recording, found: planar.Contacts, error: planar.Errors, rows: Index
+) -> tuple[Array, Array]:
+    """The contacts (k, 3) of some rows in metres, and their covariances (k, 3, 3) in the square of the recording's unit."""
+    axes, rod, scale = recording.axes()[rows, :2], recording.rod, UNITS_M[recording.unit]
+    points = recording.position_m[rows] + np.einsum("ni,nij->nj", found.point[rows] * rod.length_m, axes)
+    in_world = np.einsum("nij,nik,njl->nkl", error.point[rows], axes, axes)
+    pose, length = recording.noise.pose_m / scale, rod.length_m / scale
+    return points, length**2 * in_world + pose**2 * np.eye(3)
+
+
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
 
@@ -77,34 +129,15 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     Rows without contact, and rows whose force does not stand out from the noise, give no contact.  Raises InputError if no row
     gives one.
     """
-    rod = recording.rod
-    force, about = recording.reactions(six_axis=False)
-    fx, fy, moment = force[:, 0], force[:, 1], about[:, 2]
-    known = recording.noise
-    noise = known.of_reactions(rod)
-    bent = recording.in_plane()
-    columns = (np.zeros(len(moment)), fx, fy, moment)
-    told: dict[str, Any] = {}
-    if (by_moment := _by_moment(recording)) is not None:
-        told = {"covariance": by_moment[:, IN_PLANE[:, None], IN_PLANE]}
-    elif recording.completed is not None:
-        tip = planar.reconstruct(*columns, rod=bent).phase == planar.Phase.TIP
-        told = recording.completed.errors | {"tip": tip}
-    error = planar.errors(fx, fy, moment, noise=noise, rod=bent, **told)
-    pressed = felt(recording.pressing(six_axis=False), noise)
-    tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
+    rod, known = recording.rod, recording.noise
+    noise, by_moment = known.of_reactions(rod), _by_moment(recording)
+    in_plane, error, pressed, touching, tolerance = readings_in_plane(recording, method)
     radius = rod.diameter_m / 2
-    # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
-    if radius:
-        steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
-        reach = radius / rod.length_m / np.cos(np.nan_to_num(steep))
-        tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)
-    in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
-    touching = pressed & (in_plane.phase != planar.Phase.NONE)
     light = too_light(error.largest, touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
+        columns, bent = _in_plane(recording)
         in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common, rod=bent)
     rows = np.flatnonzero(touching)
     if not len(rows):
@@ -114,10 +147,9 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         )
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
-    points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
+    points, covariance = places_in_plane(recording, in_plane, error, rows)
     slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
     pose, length = known.pose_m / scale, rod.length_m / scale
-    in_world = np.einsum("nij,nik,njl->nkl", error.point[rows], axes[rows, :2], axes[rows, :2])
     place_sd = np.hypot(length * error.largest[rows], pose)
     noisy = max(*noise, pose) > 0 or by_moment is not None
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
@@ -139,7 +171,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         unit=recording.unit,
         rod_length=length,
         noise=float(np.median(place_sd)),
-        covariance=length**2 * in_world + pose**2 * np.eye(3) if noisy else None,
+        covariance=covariance if noisy else None,
         place_sd=place_sd if noisy else None,
         normal_sd=np.where(tangential, error.slope[rows], np.inf) if noisy else None,
         light=int(light.sum()),
@@ -262,21 +294,29 @@ class Readings(NamedTuple):
 
 def readings(recording: Recording) -> Readings:
     """The closed form of each row.  Raises InputError if the recording has other axes than six."""
+    known = readings_alone(recording)
+    light = np.zeros_like(known.touching) if known.error is None else too_light(known.error.largest, known.touching)
+    return known._replace(touching=known.touching & ~light, light=light)
+
+
+def readings_alone(recording: Recording) -> Readings:
+    """`readings` of rows each of which is judged by itself, so that none of them counts as too light."""
     force, moment = recording.reactions(six_axis=True)
     noise = recording.noise.of_reactions(recording.rod)
     bent, down = recording.rod.in_space(), recording.down()
+    wide = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise, rod=bent, gravity=down)
     error, by_moment = None, _by_moment(recording)
     if max(*noise, recording.noise.pose_m) or by_moment is not None:
-        error = inverse.errors(force, moment, noise, rod=bent, gravity=down, covariance=by_moment)
+        error = inverse.errors(force, moment, noise, rod=bent, gravity=down, covariance=by_moment, found=wide)
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))
     pressed = felt(recording.pressing(six_axis=True), noise)
-    tolerance = tip_tolerance(recording, pressed, tolerance, "spatial")
-    found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise, rod=bent, gravity=down)
+    # of contacts farther from the tip no tolerance makes others
+    tolerance = tip_tolerance(recording, pressed & (wide.s1 >= 1 - LARGEST_TOLERANCE), tolerance, "spatial")
+    found = wide.within(tolerance)
     touching = pressed & (found.status == inverse.Status.OK)
-    light = np.zeros_like(touching) if error is None else too_light(error.largest, touching)
-    return Readings(found, error, pressed, touching & ~light, light, noise)
+    return Readings(found, error, pressed, touching, np.zeros_like(touching), noise)
 
 
 def spatial_contacts(recording: Recording) -> Cloud:
@@ -292,6 +332,17 @@ def spatial_contacts(recording: Recording) -> Cloud:
     return _moved_by_radius(cloud, force, recording.rod.radius_m(known.found.s1[cloud.row]) / UNITS_M[recording.unit])
 
 
+def places(recording: Recording, known: Readings, rows: Index) -> tuple[Array, Array | None]:
+    """The contacts (k, 3) of some rows in the recording's unit, and their covariances (k, 3, 3); None for exact data."""
+    axes, scale = recording.axes()[rows], UNITS_M[recording.unit]
+    length, pose = recording.rod.length_m / scale, recording.noise.pose_m / scale
+    points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", known.found.point[rows], axes)
+    if known.error is None:
+        return points, None
+    turned = np.einsum("nik,nij,njl->nkl", axes, known.error.point[rows], axes)
+    return points, length**2 * turned + pose**2 * np.eye(3)
+
+
 def without_normals(recording: Recording, known: Readings) -> Cloud:
     """The contacts without normals, at the rod's centre line.  Raises NoContactError if no row gives a contact."""
     rows = np.flatnonzero(known.touching)
@@ -303,11 +354,10 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
     axes = recording.axes()[rows]
     rod, scale, found, error = recording.rod, UNITS_M[recording.unit], known.found, known.error
     n, length = len(rows), rod.length_m / scale
-    points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[rows], axes)
-    covariance = place_sd = tangent_sd = None
+    points, covariance = places(recording, known, rows)
+    place_sd = tangent_sd = None
     if error is not None:
         pose = recording.noise.pose_m / scale
-        covariance = length**2 * np.einsum("nik,nij,njl->nkl", axes, error.point[rows], axes) + pose**2 * np.eye(3)
         place_sd, tangent_sd = np.hypot(length * error.largest[rows], pose), error.tangent[rows]
     return Cloud(
         points=points,

@@ -91,6 +91,22 @@ class SpatialContacts:
         }
         return replace(self, **columns)
 
+    def within(self, tolerance: float | Array) -> SpatialContacts:
+        """These contacts with a smaller tolerance than that with which they were found, as `reconstruct` has it."""
+        ok = self.status == Status.OK
+        with np.errstate(invalid="ignore"):
+            past, tangential = ok & (self.s1 > 1 + tolerance), ok & (self.s1 < 1 - tolerance)
+        status = np.where(past, Status.BEYOND_TIP, self.status).astype(np.int8)
+        phase = np.where(tangential, planar.Phase.TANGENTIAL, planar.Phase.TIP)
+        phase = np.where(ok & ~past, phase, planar.Phase.NONE).astype(np.int8)
+        found = replace(self, status=status, phase=phase)
+        if past.any():
+            values = {name: getattr(self, name).copy() for name in ("point", "s1", "tangent", "bending", "q")}
+            for column in values.values():
+                column[past] = np.nan
+            found = replace(found, **values)
+        return found
+
     @property
     def bending_angle(self) -> Array:
         """(n,) angle ω from the plane of the sweep to the bending plane, ``e = (cos ω, 0, sin ω)``."""
@@ -232,10 +248,12 @@ def errors(
     rod: SpatialRod | None = None,
     gravity: Array | None = None,
     covariance: Array | None = None,
+    found: SpatialContacts | None = None,
 ) -> SpatialErrors:
     """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment.
 
     `covariance` (n, 6, 6) of force and moment stands in the place of white noise of reactions that agree with a single force.
+    `found` are the contacts, by this noise and with the tolerance `PAST_TIP`, if they are known already.
     """
     if covariance is not None or (rod is not None and not rod.is_straight_and_uniform):
         if covariance is None:
@@ -249,7 +267,7 @@ def errors(
         slopes = planar.jacobian(f0e, f0[:, 1], m) * [sigma_f, sigma_f, sigma_m]
         angle = 1 / np.sqrt((m / sigma_m) ** 2 + (f0e / sigma_f) ** 2)
         x, y, s1, alpha, beta = (slopes[:, k] for k in range(5))
-        found = reconstruct(f0, m0, noise=noise, tolerance=PAST_TIP)
+        found = found or reconstruct(f0, m0, noise=noise, tolerance=PAST_TIP)
         zero = np.zeros_like(ex)
         across, normal = np.stack([ex, zero, ez], axis=1), np.stack([-ez, zero, ex], axis=1)
         place = across[:, :, None] * x[:, None, :]
