@@ -406,6 +406,21 @@ def together(stated: float, rounding: float) -> float:
     return stated if rounding <= 0.03 * stated else float(np.hypot(stated, rounding))
 
 
+def as_stated(recording: Recording, noise: Noise) -> Recording:
+    """The recording with these errors, in the place of those that its digits show."""
+    found = replace(recording)
+    found.__dict__["noise"] = noise  # of a property that is computed once
+    return found
+
+
+def of_checked(like: Recording, **columns: Any) -> Recording:
+    """A recording with other rows, which are right, and all else of another one, without looking at them again."""
+    found = object.__new__(Recording)
+    found.__dict__.update(like.__dict__ | columns)
+    found.__dict__.pop("in_probings", None)
+    return found
+
+
 def reaction_columns(force: Array, moment: Array, six_axis: bool) -> dict[str, Any]:
     """The columns of a recording that hold reactions (n, 3) in N and N m; without six axes only those in the plane."""
     columns = {"force_N": force[:, :2], "moment_Nm": moment[:, 2]}

@@ -153,16 +153,7 @@ class Calibration(Described):
             air = unloaded(recording.sweep, wrench, channels, (known.force_N, known.moment_Nm), model)
             wrench = wrench - air.basis @ air.tare.T
             force_noise, moment_noise = air.force_noise, air.moment_noise
-        sensor, clamp = self.frames()
-        force, moment, gains = wrench[:, :3], wrench[:, 3:], self.gains
-        if gains.any():
-            own, sensor = self.before("sensor"), self.own_sensor()
-            shown = to_inner(force, moment, own.turn, own.position_m)
-            force, moment = (part + part * gain for part, gain in zip(shown, np.split(gains, 2), strict=True))
-        force, moment = to_outer(force, moment, sensor.turn, sensor.position_m)
-        position, quaternion = clamp.carried(recording.position_m, recording.quaternion)
-        # the mean over the components of the variance that the lever adds
-        lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
+        force, moment, position, quaternion = self.corrected(wrench, recording.position_m, recording.quaternion)
         return dataclasses.replace(
             recording,
             position_m=position,
@@ -171,11 +162,28 @@ class Calibration(Described):
             rod=self.rod,
             gravity=gravity,
             noise_force_N=force_noise,
-            noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
+            noise_moment_Nm=self.moment_noise(force_noise, moment_noise),
             noise_pose_m=recording.noise_pose_m or self.pose_noise_m,
             source={**recording.source, "calibrated": True},
             rig=self.uncertainty(),
         )
+
+    def corrected(self, wrench: Array, position_m: Array, quaternion: Array) -> tuple[Array, Array, Array, Array]:
+        """Force, moment and position (n, 3) and quaternion (n, 4) of the true clamp, by tared wrenches (n, 6) and poses."""
+        sensor, clamp = self.frames()
+        force, moment, gains = wrench[:, :3], wrench[:, 3:], self.gains
+        if gains.any():
+            own, sensor = self.before("sensor"), self.own_sensor()
+            shown = to_inner(force, moment, own.turn, own.position_m)
+            force, moment = (part + part * gain for part, gain in zip(shown, np.split(gains, 2), strict=True))
+        force, moment = to_outer(force, moment, sensor.turn, sensor.position_m)
+        return force, moment, *clamp.carried(position_m, quaternion)
+
+    def moment_noise(self, force_N: float, moment_Nm: float) -> float:
+        """Standard deviation of the moment at the clamp by those of the sensor's force and moment."""
+        # the mean over the components of the variance that the lever adds
+        lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
+        return float(np.sqrt(moment_Nm**2 + lever * force_N**2))
 
     def uncertainty(self) -> RigUncertainty:
         """The covariance of the errors that remain in a recording that this corrects, to the first order.

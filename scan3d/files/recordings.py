@@ -140,23 +140,7 @@ def read_recording(path: str | Path) -> Recording:
     values = {name: table.numbers(column) for name, column in at.items()}
     zero = np.zeros(len(sweep))
     missing = [channel for channel, name in REACTIONS.items() if name not in values]
-    noise = meta.section("noise")
-    force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
-    independent = noise.boolean("independent", True)
-    rig, of_rig = None, meta.section("rig")
-    if "rig" in meta:
-        quantities, exact = of_rig.texts("quantities"), of_rig.texts("exact")
-        with of_rig.errors_named():
-            covariance, gains = of_rig.any("covariance", []), of_rig.any("gains", [])
-            rig = RigUncertainty(quantities, covariance, exact, gains, of_rig.any("sensor", (0.0,) * 6))
-    known: dict[str, Any] = {
-        "rod": read_rod(meta.section("rod")),
-        "rig": rig,
-        "gravity": gravity_of(meta.section("gravity")) if "gravity" in meta else None,
-        "unit": meta.word("unit", tuple(UNITS_M), "mm"),
-        "table_m": meta.number(TABLE, None),
-        "source": meta.notes("source"),
-    }
+    known = _settings(meta)
     meta.finish(", and notes belong into [source]")
     known |= {field: values[name] for name, field in SIX_AXES.items() if name in values}
     if told is not None:
@@ -168,15 +152,49 @@ def read_recording(path: str | Path) -> Recording:
             quaternion=np.stack([values[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
             force_N=np.stack([values.get("fx_N", zero), values.get("fy_N", zero)], axis=1),
             moment_Nm=values.get("mz_Nm", zero),
-            noise_force_N=force,
-            noise_moment_Nm=moment,
-            noise_pose_m=pose,
-            noise_independent=independent,
             **known,
         )
         return completed(recording)[0] if missing else recording
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
+
+
+def read_settings(path: str | Path) -> dict[str, Any]:
+    """What the TOML file of a recording says of rod, noise, rig and table, as the fields of a `Recording`.
+
+    Raises InputError with the name of the file and the error in it.
+    """
+    meta = read_section(Path(path), "TOML file of a recording")
+    meta.any("schema")
+    if "known" in meta:
+        raise meta.error("known", "stands for a channel that was not measured, which needs the whole recording")
+    found = _settings(meta)
+    meta.finish(", and notes belong into [source]")
+    return found
+
+
+def _settings(meta: Section) -> dict[str, Any]:
+    noise = meta.section("noise")
+    force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
+    rig, of_rig = None, meta.section("rig")
+    independent = noise.boolean("independent", True)
+    if "rig" in meta:
+        quantities, exact = of_rig.texts("quantities"), of_rig.texts("exact")
+        with of_rig.errors_named():
+            covariance, gains = of_rig.any("covariance", []), of_rig.any("gains", [])
+            rig = RigUncertainty(quantities, covariance, exact, gains, of_rig.any("sensor", (0.0,) * 6))
+    return {
+        "rod": read_rod(meta.section("rod")),
+        "noise_force_N": force,
+        "noise_moment_Nm": moment,
+        "noise_pose_m": pose,
+        "noise_independent": independent,
+        "rig": rig,
+        "gravity": gravity_of(meta.section("gravity")) if "gravity" in meta else None,
+        "unit": meta.word("unit", tuple(UNITS_M), "mm"),
+        "table_m": meta.number(TABLE, None),
+        "source": meta.notes("source"),
+    }
 
 
 def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tuple[str, ...]:

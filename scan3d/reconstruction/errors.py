@@ -277,7 +277,7 @@ def torsion_sd(recording: Recording, rows: Index) -> Array:
 
 def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, model: str) -> Array | float:
     """The differences of s1 to the tip (n,) that count as zero, by the noise and by the calibration."""
-    if recording.rig is None:
+    if recording.rig is None or not felt.any():
         return tolerance
     widened = np.zeros(len(recording))
     for rows in _blocks(np.flatnonzero(felt)):

@@ -1,0 +1,330 @@
+"""Contacts while they happen: one row of pose and wrench in, one contact out.
+
+A row gives what it gives in a recording: `reconstruction.contacts` reads both.  What needs more than the row is left to
+`Live.cloud`: normals in space, the common friction of all contacts, and which contacts others contradict.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import planar
+from scan3d.arrays import Array
+from scan3d.calibration.report import Calibration, read_rig
+from scan3d.choices import MODELS, Model
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.files.recordings import read_settings
+from scan3d.files.text import read_section
+from scan3d.laboratory.signals import ringing
+from scan3d.planning.plan import check_choice, check_whole
+from scan3d.reconstruction import reconstruct
+from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
+from scan3d.reconstruction.errors import felt
+from scan3d.recording import Noise, Recording, as_stated, of_checked, reaction_columns
+from scan3d.units import UNITS_M
+
+State = Literal["unknown", "air", "touching", "ringing"]
+# Rows in which a rod that rings is recognised: eight periods of the rows in which it is looked for.
+_WINDOW = 64
+# Rows by which the zero of a sensor is found, and its noise to 7 %.
+_AIR = 100
+_FIRST = np.zeros(1, dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class LiveContact:
+    """The contact of one row; lengths in the unit of `Live`, in the world."""
+
+    t_s: float
+    point: Array
+    """(3,) of the rod's centre line."""
+    covariance: Array
+    """(3, 3) of the point by the noise of wrench and pose; zero where none is stated or found."""
+    normal: Array
+    """(3,) of the body in the plane of the sweep, outward, by the planar model; NaN where a row does not tell it."""
+    friction: float
+    """Its coefficient by the planar model; NaN where a row does not tell it."""
+    phase: planar.Phase
+    force_N: float
+    state: State = "touching"
+
+
+class Live:
+    """Contacts, row by row, of a rig.
+
+    The zero of a sensor is that of the first rows, in which the rod must hang free.  `state` says what the last row was:
+
+    unknown
+        the zero is not known yet, a value is missing, or the force is that of no single contact of the rod;
+    air
+        no force stands out from the noise;
+    touching
+        a contact;
+    ringing
+        the rod swings about its rest after it has come off.
+    """
+
+    def __init__(
+        self,
+        rig: str | Path | Calibration | Recording,
+        *,
+        model: Model = "spatial",
+        air_rows: int | None = None,
+        noise: tuple[float, float] | None = None,
+        lowpass_hz: float | None = None,
+        unit: str | None = None,
+    ) -> None:
+        """
+        rig
+            a calibration, whose sensor and clamp correct the rows, or a recording, whose rows are those of the clamp and tared;
+            or the TOML file of one of both.
+        model
+            'planar' reads fx, fy and mz, 'spatial' all six channels.
+        air_rows
+            the first rows, whose mean is the sensor's zero; 100 with a calibration, and none with a recording.
+        noise
+            standard deviations of the clamp's force and moment in N and N m; by default those in the rows in the air, or those
+            that are stated.
+        lowpass_hz
+            limit of a low-pass, which delays the wrench by some 0.2 / lowpass_hz seconds; needs rows in the air, which tell
+            the rate.
+        unit
+            of points; that of the recording by default, or mm.
+
+        Raises InputError for files and values that can't be used.
+        """
+        check_choice("model", model, MODELS)
+        self._calibration, fields = _of_rig(rig)
+        count = air_rows if air_rows is not None else _AIR if self._calibration is not None else 0
+        check_whole("air_rows", count, 0)
+        if count and fields["rod"].weight_N:
+            raise InputError(
+                "the zero of a sensor that carries a rod with a weight turns with it: tare the rows, air_rows=0"
+            )
+        if lowpass_hz is not None and not (count >= _AIR // 4 and lowpass_hz > 0):
+            raise InputError(f"lowpass_hz must be above 0, and needs air_rows of at least {_AIR // 4}")
+        self.model = model
+        self._air_rows, self._noise, self._lowpass_hz = count, noise, lowpass_hz
+        if unit is not None:
+            fields["unit"] = unit
+        self._like = Recording(
+            sweep=np.zeros(1, dtype=np.int64),
+            position_m=np.zeros((1, 3)),
+            quaternion=np.array([[1.0, 0.0, 0.0, 0.0]]),
+            **reaction_columns(np.zeros((1, 3)), np.zeros((1, 3)), model == "spatial"),
+            **fields,
+        )
+        self.state: State = "unknown"
+        """What the last row was."""
+        self._zero: Array | None = None
+        self._filter: tuple[Array, Array] | None = None
+        self._rows: list[Recording] = []
+        self._last: deque[Array] = deque(maxlen=_WINDOW)
+        self._touches, self._pressed = 0, False
+        self.tare()
+
+    def tare(self) -> None:
+        """Find the zero again, in the rows that follow; the rod must hang free."""
+        self._waiting: list[tuple[float, Array]] = []
+        self._filter = None
+        self._zero = None if self._air_rows else np.zeros(6)
+        if not self._air_rows:
+            stated, known = self._like, self._calibration
+            noise = self._noise or (stated.noise_force_N, stated.noise_moment_Nm)
+            if known is not None and self._noise is None:
+                noise = known.noise_force_N, known.moment_noise(known.noise_force_N, known.noise_moment_Nm)
+            self._take(noise)
+
+    def push(
+        self, t: float, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike, sweep: int | None = None
+    ) -> LiveContact | None:
+        """The contact of one row, if there is one; `state` says what the row was.
+
+        t
+            seconds.
+        position, quaternion, wrench
+            (3,) in metres, (4,) w first, and (6,) force and moment in N and N m; of the planar model (3,) fx, fy and mz.
+        sweep
+            number of the sweep; by default each touch is one.
+
+        Raises InputError for other shapes, and for quaternions without unit length.
+        """
+        place, turn, shown = self._checked(position, quaternion, wrench)
+        self.state = "unknown"
+        if not all(map(np.isfinite, (t, place.sum(), turn.sum(), shown.sum()))):
+            return None
+        if self._zero is None:
+            self._wait(t, shown)
+            return None
+        tared = (shown - self._zero)[None]
+        if self._filter is not None:
+            tared = self._filtered(tared)
+        force, moment, place, turn = tared[:, :3], tared[:, 3:], place[None], turn[None]
+        if self._calibration is not None:
+            force, moment, place, turn = self._calibration.corrected(tared, place, turn)
+        row = of_checked(
+            self._like,
+            position_m=place,
+            quaternion=turn,
+            **reaction_columns(force, moment, self.model == "spatial"),
+        )
+        self._last.append(np.concatenate([force[0], moment[0]]))
+        return self._judged(t, row, sweep)
+
+    def _judged(self, t: float, row: Recording, sweep: int | None) -> LiveContact | None:
+        """The contact of a row that is tared and corrected; it is kept."""
+        pressed = bool(felt(row.pressing(self.model == "spatial"), row.noise.of_reactions(row.rod))[0])
+        self._touches += pressed and not self._pressed
+        self._pressed = pressed
+        row.__dict__["sweep"] = np.array([max(self._touches - 1, 0) if sweep is None else sweep])
+        contact = None
+        if not pressed:
+            self.state = "air"
+        elif self._rings():
+            self.state = "ringing"
+            row = of_checked(row, **reaction_columns(np.zeros((1, 3)), np.zeros((1, 3)), self.model == "spatial"))
+        else:
+            contact = _contact(t, row, self.model)
+            self.state = "unknown" if contact is None else "touching"
+        self._rows.append(row)
+        return contact
+
+    def _checked(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array, Array]:
+        place, turn, shown = (np.asarray(values, dtype=np.float64) for values in (position, quaternion, wrench))
+        if shown.shape == (3,) and self.model == "planar" and self._calibration is None:
+            fx, fy, mz = shown
+            shown = np.array([fx, fy, 0.0, 0.0, 0.0, mz])
+        if place.shape != (3,) or turn.shape != (4,) or shown.shape != (6,):
+            raise InputError(
+                "a row has a position (3,), a quaternion (4,) and a wrench (6,), or (3,) with fx, fy and mz in the planar "
+                f"model without a calibration; got {place.shape}, {turn.shape} and {shown.shape}"
+            )
+        if abs(float(np.sqrt(turn @ turn)) - 1) > 1e-3:  # as in a recording; NaN is a row without a pose
+            raise InputError(f"the quaternion must have the length 1, w first, got {turn.tolist()}")
+        return place, turn, shown
+
+    def _wait(self, t: float, shown: Array) -> None:
+        """Collect rows in the air, until zero, noise and rate are known."""
+        self._waiting.append((t, shown))
+        if len(self._waiting) < self._air_rows:
+            return
+        times, rows = np.array([row[0] for row in self._waiting]), np.array([row[1] for row in self._waiting])
+        self._zero = rows.mean(axis=0)
+        tared = rows - self._zero
+        if self._lowpass_hz is not None:
+            tared = self._begun(times, tared)
+        deviation = tared.std(axis=0, ddof=1) if len(tared) > 1 else np.zeros(6)
+        force, moment = float(deviation[:3].max()), float(deviation[3:].max())
+        if self._calibration is not None:
+            moment = self._calibration.moment_noise(force, moment)
+        self._take(self._noise or (force, moment))
+
+    def _take(self, noise: tuple[float, float]) -> None:
+        """Rows have these standard deviations from now on."""
+        force, moment = noise
+        independent = self._like.noise_independent and self._lowpass_hz is None
+        stated = Noise(force, moment, self._like.noise_pose_m, place_m=0.0, independent=independent)
+        self._like = of_checked(self._like, noise_force_N=stated.force_N, noise_moment_Nm=stated.moment_Nm)
+        self._like = as_stated(self._like, stated)
+
+    def _begun(self, times: Array, tared: Array) -> Array:
+        """Begin the low-pass with rows in the air (n, 6): the second half of them, after it."""
+        from scipy.signal import butter, sosfilt  # its import takes half a second
+
+        rate = (len(times) - 1) / float(times[-1] - times[0]) if times[-1] > times[0] else 0.0
+        limit = float(self._lowpass_hz or 0.0)
+        if not 2 * limit < rate:
+            raise InputError(
+                f"the rows come at {rate:.4g} Hz, and lowpass_hz must be below half of that, got {limit:g}"
+            )
+        sections = butter(2, limit, fs=rate, output="sos")
+        filtered, left = sosfilt(sections, tared, axis=0, zi=np.zeros((len(sections), 2, 6)))
+        self._filter = sections, left
+        return np.asarray(filtered[len(filtered) // 2 :])
+
+    def _filtered(self, tared: Array) -> Array:
+        from scipy.signal import sosfilt
+
+        assert self._filter is not None
+        sections, left = self._filter
+        filtered, left = sosfilt(sections, tared, axis=0, zi=left)
+        self._filter = sections, left
+        return np.asarray(filtered)
+
+    def _rings(self) -> bool:
+        """Whether the last row belongs to a swing about zero."""
+        rows, noise = np.array(self._last), self._like.noise
+        across = rows[:, [0, 2]]
+        strongest = across[:, int(np.argmax(np.abs(across).max(axis=0)))]
+        signs = np.sign(strongest[np.abs(strongest) > noise.force_N])
+        if np.count_nonzero(np.diff(signs)) < 2:  # a swing crosses zero twice in a period, and a sweep does not
+            return False
+        deviations = np.repeat([noise.force_N, noise.moment_Nm], 3)
+        return bool(ringing(rows, deviations, np.zeros(len(rows), dtype=np.int64))[-1])
+
+    @property
+    def recording(self) -> Recording:
+        """The rows so far, tared and corrected; those that ring have no wrench.  Raises InputError if there are none."""
+        if not self._rows:
+            raise InputError("there are no rows yet: push some, the first of which find the zero of the sensor")
+        names = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
+        names += ["force_z_N", "moment_x_Nm", "moment_y_Nm"] if self.model == "spatial" else []
+        columns: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in self._rows]) for name in names}
+        last = self._rows[-1]
+        return as_stated(of_checked(last, **columns), last.noise)
+
+    @property
+    def cloud(self) -> Cloud:
+        """The contacts so far as `scan3d.reconstruct` finds them in all rows.  Raises InputError if there are none."""
+        return reconstruct(self.recording, model=self.model)
+
+
+def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | None, dict[str, Any]]:
+    """The calibration, if it is one, and the fields of its recordings."""
+    if isinstance(rig, (str, Path)):
+        if {"sensor", "clamp"} & read_section(rig, "rig, or TOML file of a recording").data.keys():
+            rig = read_rig(rig)
+        else:
+            return None, read_settings(rig)
+    if isinstance(rig, Calibration):
+        return rig, {"rod": rig.rod, "noise_pose_m": rig.pose_noise_m, "rig": rig.uncertainty()}
+    if not isinstance(rig, Recording):
+        raise InputError(f"a rig is a calibration, a recording, or the TOML file of one, got {type(rig).__name__}")
+    names = (
+        *("rod", "rig", "gravity", "unit", "table_m", "source"),
+        *("noise_force_N", "noise_moment_Nm", "noise_pose_m", "noise_independent"),
+    )
+    return None, {name: getattr(rig, name) for name in names}
+
+
+def _contact(t: float, row: Recording, model: str) -> LiveContact | None:
+    """The contact of a recording of one row."""
+    scale, axes, nothing = UNITS_M[row.unit], row.axes()[0], np.full(3, np.nan)
+    if model == "spatial":
+        known = readings_alone(row)
+        if not known.touching[0]:
+            return None
+        points, covariance = places(row, known, _FIRST)
+        covariance = np.zeros((1, 3, 3)) if covariance is None else covariance
+        force = float(np.linalg.norm(known.found.force, axis=1)[0]) * row.rod.force_unit_N
+        return LiveContact(t, points[0], covariance[0], nothing, np.nan, planar.Phase(int(known.found.phase[0])), force)
+    read = readings_in_plane(row)
+    if not read.touching[0]:
+        return None
+    points, covariance = places_in_plane(row, read.found, read.error, _FIRST)
+    return LiveContact(
+        t,
+        points[0] / scale,
+        covariance[0],
+        read.found.normal[0] @ axes[:2],
+        float(read.found.friction[0]),
+        planar.Phase(int(read.found.phase[0])),
+        float(read.found.force[0]) * row.rod.force_unit_N,
+    )

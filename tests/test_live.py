@@ -1,0 +1,155 @@
+"""Rows that are pushed one by one give what the whole recording gives, to the last bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rigs
+from small_scans import EGG
+
+import planar
+import scan3d
+from scan3d import InputError
+from scan3d.reconstruction.contacts import contacts, readings, without_normals
+from scan3d.recording import of_rows
+from tests.rig_errors import six_axis
+
+RODS = {
+    "straight": None,
+    "thick": scan3d.Rod(0.06, 2e-4, 0.002),
+    "tapered": scan3d.Rod(0.06, 2e-4, 0.0004, tip_diameter_m=0.0002),
+}
+
+
+def pushed(live, recording):
+    """The contacts of all rows, None where there is none, and the states."""
+    wrench = np.hstack(six_axis(recording).wrench())
+    found, states = [], []
+    for k in range(len(recording)):
+        found.append(
+            live.push(0.01 * k, recording.position_m[k], recording.quaternion[k], wrench[k], recording.sweep[k])
+        )
+        states.append(live.state)
+    return found, np.array(states)
+
+
+def scanned(model, rod=None, noise=1e-4, **more):
+    plan = scan3d.Plan(slices=2, sweeps=3, samples=40, model=model, rod=rod, noise=noise, friction=(0.0, 0.4), **more)
+    recording = scan3d.simulate(scan3d.load_mesh(EGG), plan)
+    # numbers without a grid, as of a converter, by which the batch widens the noise
+    return replace(recording, position_m=recording.position_m + 1e-9 / 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rod", "model"),
+    [(rod, model) for rod in RODS for model in ("planar", "spatial") if (rod, model) != ("tapered", "spatial")],
+)
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_the_contacts_are_those_of_the_whole_recording(rod, model, noise):
+    recording = scanned(model, RODS[rod], noise)
+    if rod == "tapered":
+        recording = of_rows(recording, np.arange(0, len(recording), 8))
+    live = scan3d.Live(recording, model=model)
+    found, states = pushed(live, recording)
+    same = live.recording
+    for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(recording, name))
+    cloud = contacts(same) if model == "planar" else without_normals(same, readings(same))
+    touching = np.flatnonzero(states == "touching")
+    assert len(cloud) > 10
+    assert np.isin(cloud.row, touching).all()
+    assert len(touching) <= len(cloud) + cloud.light
+    of = [found[row] for row in cloud.row]
+    if rod == "tapered":  # rods that are integrated together take the same steps
+        np.testing.assert_allclose([one.point for one in of], cloud.points, atol=1e-8 * live.cloud.rod_length)
+        return
+    np.testing.assert_array_equal([one.point for one in of], cloud.points)
+    np.testing.assert_array_equal([one.force_N for one in of], cloud.force_N)
+    np.testing.assert_array_equal([one.phase for one in of], cloud.phase)
+    if noise:
+        np.testing.assert_array_equal([one.covariance for one in of], cloud.covariance)
+    if model == "planar":
+        tangential = cloud.phase == planar.Phase.TANGENTIAL
+        np.testing.assert_array_equal(np.array([one.friction for one in of])[tangential], cloud.friction[tangential])
+        normals = np.array([one.normal for one in of])[tangential]
+        np.testing.assert_allclose(normals, cloud.in_plane_normals[tangential], atol=1e-12)
+    assert live.cloud.points.shape[1] == 3
+
+
+@pytest.mark.slow
+def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
+    raw = rigs.recorded(seed=1)
+    calibration = scan3d.calibrate(raw, sphere=rigs.DIAMETER)
+    live = scan3d.Live(calibration, air_rows=5)
+    # what hangs free shows zero and noise
+    rng, wrench = np.random.default_rng(0), np.hstack(raw.wrench())
+    bias = calibration.tare
+    for k in range(5):
+        assert (
+            live.push(-0.1 + 0.01 * k, raw.position_m[0], raw.quaternion[0], bias + 1e-9 * rng.normal(size=6)) is None
+        )
+        assert live.state == "unknown"
+    some = np.arange(0, len(raw), 7)
+    found = [live.push(0.01 * k, raw.position_m[k], raw.quaternion[k], wrench[k], int(raw.sweep[k])) for k in some]
+    corrected = of_rows(calibration.applied(raw, tare="calibration"), some)
+    np.testing.assert_allclose(live.recording.position_m, corrected.position_m, atol=1e-12)
+    np.testing.assert_allclose(live.recording.force_N, corrected.force_N, atol=1e-6)
+    known = readings(live.recording)
+    alone = np.array([one is not None for one in found])
+    assert alone[known.touching].all()
+    cloud = without_normals(live.recording, known)
+    np.testing.assert_array_equal([found[k].point for k in cloud.row], cloud.points)
+    # they lie on the sphere that was touched
+    away = np.linalg.norm(cloud.points / 1000 - rigs.CENTRE, axis=1) - rigs.DIAMETER / 2
+    assert np.median(np.abs(away)) < 5e-4
+
+
+def test_states_tell_air_dropped_values_and_what_no_rod_has(tmp_path):
+    recording = scanned("spatial")
+    scan3d.write_recording(recording, tmp_path / "rec.csv")
+    live = scan3d.Live(tmp_path / "rec.toml", air_rows=25)
+    still = (0.0, recording.position_m[0], recording.quaternion[0])
+    rng = np.random.default_rng(0)
+    for k in range(25):
+        assert live.push(0.01 * k, *still[1:], 1e-6 * rng.normal(size=6) + 0.5) is None
+    assert live.push(1.0, *still[1:], np.full(6, 0.5)) is None
+    assert live.state == "air"
+    assert live.push(1.1, *still[1:], [np.nan] * 6) is None
+    assert live.state == "unknown"
+    assert live.push(1.2, *still[1:], np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 1.0]) + 0.5) is None
+    assert live.state == "unknown"
+    assert len(live.recording) == 2
+    # a rod that swings about its rest
+    states = []
+    for k in range(60):
+        swing = np.exp(-0.01 * k) * np.cos(1.7 * k) * np.array([1e-2, 0.0, 0.0, 0.0, 0.0, 5e-4])
+        live.push(2 + 0.01 * k, *still[1:], swing + 0.5 + 1e-6 * rng.normal(size=6))
+        states.append(live.state)
+    assert states[20:].count("ringing") > 35
+
+
+def test_a_low_pass_leaves_less_noise():
+    recording = scanned("spatial", noise=0.0)
+    rng = np.random.default_rng(0)
+    plain, smooth = scan3d.Live(recording, air_rows=200), scan3d.Live(recording, air_rows=200, lowpass_hz=5)
+    for k in range(201):
+        row = 0.01 * k, recording.position_m[0], recording.quaternion[0], 1e-3 * rng.normal(size=6)
+        plain.push(*row)
+        smooth.push(*row)
+    assert smooth.recording.noise.force_N < 0.6 * plain.recording.noise.force_N
+
+
+def test_what_is_no_row_is_refused():
+    live = scan3d.Live(scanned("planar"), model="planar")
+    assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0, 0, 0]) is None
+    with pytest.raises(InputError, match=r"a row has a position \(3,\)"):
+        live.push(0.0, [0, 0], [1, 0, 0, 0], [0, 0, 0])
+    with pytest.raises(InputError, match="must have the length 1"):
+        live.push(0.0, [0, 0, 0], [1, 1, 0, 0], [0, 0, 0])
+    with pytest.raises(InputError, match="a rig is a calibration, a recording"):
+        scan3d.Live(scan3d.Rod(0.05, 1e-4))
+    with pytest.raises(InputError, match="there are no rows yet"):
+        _ = scan3d.Live(scanned("planar")).recording
+    with pytest.raises(InputError, match="lowpass_hz must be above 0, and needs air_rows"):
+        scan3d.Live(scanned("planar"), lowpass_hz=5)
