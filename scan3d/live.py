@@ -27,7 +27,7 @@ from scan3d.planning.plan import check_choice, check_whole
 from scan3d.reconstruction import reconstruct
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
-from scan3d.recording import Noise, Recording, as_stated, of_checked, reaction_columns
+from scan3d.recording import FORCE_SIGMAS, Noise, Recording, as_stated, of_checked, reaction_columns
 from scan3d.units import UNITS_M
 
 State = Literal["unknown", "air", "touching", "ringing"]
@@ -263,8 +263,8 @@ class Live:
         rows, noise = np.array(self._last), self._like.noise
         across = rows[:, [0, 2]]
         strongest = across[:, int(np.argmax(np.abs(across).max(axis=0)))]
-        signs = np.sign(strongest[np.abs(strongest) > noise.force_N])
-        if np.count_nonzero(np.diff(signs)) < 2:  # a swing crosses zero twice in a period, and a sweep does not
+        signs = np.sign(strongest[np.abs(strongest) > FORCE_SIGMAS * noise.force_N])
+        if np.count_nonzero(np.diff(signs)) < 4:  # in two periods; a sweep has one sign, but for its end
             return False
         deviations = np.repeat([noise.force_N, noise.moment_Nm], 3)
         return bool(ringing(rows, deviations, np.zeros(len(rows), dtype=np.int64))[-1])
@@ -306,7 +306,7 @@ def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | No
 
 def _contact(t: float, row: Recording, model: str) -> LiveContact | None:
     """The contact of a recording of one row."""
-    scale, axes, nothing = UNITS_M[row.unit], row.axes()[0], np.full(3, np.nan)
+    nothing = np.full(3, np.nan)
     if model == "spatial":
         known = readings_alone(row)
         if not known.touching[0]:
@@ -321,9 +321,9 @@ def _contact(t: float, row: Recording, model: str) -> LiveContact | None:
     points, covariance = places_in_plane(row, read.found, read.error, _FIRST)
     return LiveContact(
         t,
-        points[0] / scale,
+        points[0] / UNITS_M[row.unit],
         covariance[0],
-        read.found.normal[0] @ axes[:2],
+        read.found.normal[0] @ row.axes()[0, :2],
         float(read.found.friction[0]),
         planar.Phase(int(read.found.phase[0])),
         float(read.found.force[0]) * row.rod.force_unit_N,

@@ -90,6 +90,14 @@ def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+def test_live_contacts(capsys: pytest.CaptureFixture[str]) -> None:
+    live = example("live_contacts").main(["--demo"])
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last == f"{len(live.cloud)} contacts in {len(live.recording)} rows"
+    assert len(lines) >= len(live.cloud) > 100
+
+
+@pytest.mark.slow
 def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
     meshes = EXAMPLES.parent / "meshes"
     example("methods_by_meshes").main([str(meshes / "cube.stl"), "--slices", "8", "--spacing", "cosine"])
