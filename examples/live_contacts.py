@@ -1,9 +1,9 @@
 # %% [markdown]
 """Where does the rod touch, while it touches?
 
-Poses and wrenches come as datagrams by UDP, one row each, as text: t, x, y, z, qw, qx, qy, qz, fx, fy, fz, mx, my, mz, in SI units
-and in the clamp's frame.  Each row that touches gives a line with the contact, and what it is uncertain by.  For a serial port put
-`serial.Serial(port, 115200)` of pyserial in the place of the socket, and its `readline()` in that of `recv`.
+Poses and wrenches come as datagrams by UDP, one row each, as text: t, x, y, z, qw, qx, qy, qz, fx, fy, fz, mx, my, mz, in SI
+units and in the clamp's frame.  Each row that touches gives a line with the contact, and what it is uncertain by.  For a serial
+port put `serial.Serial(port, 115200)` of pyserial in the place of the socket, and its `readline()` in that of `recv`.
 
     python examples/live_contacts.py RIG.toml [--port 5005]
     python examples/live_contacts.py --demo
