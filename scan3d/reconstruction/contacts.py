@@ -101,7 +101,11 @@ def readings_in_plane(recording: Recording, method: str = "closed-form") -> Plan
         told = recording.completed.errors | {"tip": tip}
     error = planar.errors(*columns[1:], noise=noise, rod=bent, **told)
     pressed = felt(recording.pressing(six_axis=False), noise)
-    tolerance = np.asarray(tip_tolerance(recording, pressed, contact_tolerance(error), "planar"))
+    near = pressed
+    if recording.rig is not None:  # of contacts farther from the tip that no friction pulls no tolerance makes others
+        wide = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent)
+        near = pressed & ((wide.s1 >= 1 - LARGEST_TOLERANCE) | (wide.friction_angle_bound < 0))
+    tolerance = np.asarray(tip_tolerance(recording, near, contact_tolerance(error), "planar"))
     # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
     if rod.diameter_m:
         steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
