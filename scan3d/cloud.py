@@ -135,6 +135,12 @@ class Cloud(Shown, Exported):
     probed: NDArray[np.bool_] | None = None
     """(n,) whether the contact is that of a probing, whose rod moves along itself (`reconstruction.probings`): it has no slice,
     which is -1.  None: there is none."""
+    bead_radius: float = 0.0
+    """Of the ball on the tip of the rod that probed, in the recording's unit; 0 for none."""
+    bead_centres: Array | None = None
+    """(n, 3) its centres at the contacts, which are `bead_radius` away from `points`; None without a bead."""
+    bead_sd: Array | None = None
+    """(n,) standard deviation of each centre in its least certain direction; None without a bead, or for exact data."""
     light: int = 0
     """Number of contacts left out because the rod touched too lightly for the noise."""
     convex: bool = True
@@ -264,5 +270,5 @@ class Cloud(Shown, Exported):
 PER_CONTACT = (
     "points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row", "force_N", "friction",
     "recovered", "probed", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents",
-    "tangent_sd", "bending_angle", "slip_to_path",
+    "tangent_sd", "bending_angle", "slip_to_path", "bead_centres", "bead_sd",
 )  # fmt: skip

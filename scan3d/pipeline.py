@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
-from scan3d.bounds.free_space import reach as within_reach
+from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_with_points
@@ -194,7 +194,8 @@ def analyse(
     model
         the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
     reach
-        radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known.
+        radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known, so that a bead alone
+        bounds such a body.
     made
         is called with the contacts and the surface, as soon as both are known.
 
@@ -228,7 +229,7 @@ def analyse(
         if warnings or found is not None:
             bounds = bounding_nothing(bounds)
             certified = certificate(bounds, mesh)
-            if found is not None and reach:
+            if found is not None and (reach or cloud.bead_radius):
                 reached = within_reach(*as_measured(recording, cloud), reach, mesh)
                 certified = certified._replace(bound=np.inf if warnings else reached.bound)
         else:

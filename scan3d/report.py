@@ -17,7 +17,7 @@ import numpy as np
 import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
-from scan3d.bounds.free_space import Reach
+from scan3d.bounds.reach import Reach
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.files.whole import SCHEMA
@@ -219,25 +219,24 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
         "of an import or in the TOML file of the recording"
     )
+    reached = analysis.reach
     left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
     contours = np.inf if contours is not None and analysis.warnings else contours
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
-    if (reached := analysis.reach) is not None:
+    if reached is not None:
         outcome = (
             reached.refuted or reached.unbounded or "contacts and free space do not contradict it, which proves nothing"
         )
-        what = (
-            "a body, and surroundings, without features finer than the reach, without cavities and touched in each part"
-        )
-        assumed += (Premise(what, True, outcome),)
+        assumed += (Premise(reached.premise, True, outcome),)
     return {
         "bound": bound,
         "relative": bound / diagonal,
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
-        "confidence": _confidence(cloud, bounds, analysis.certificate, contours),
+        "confidence": _confidence(cloud, bounds, analysis.certificate, contours)
+        or (allowed(cloud).confidence if reached is not None and reached.outer_volume is not None else None),
         "premise": "; ".join(premise.assumed for premise in assumed),
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
@@ -245,12 +244,31 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
         **({} if cloud.unmeasured is None else {"not_measured": list(cloud.unmeasured.words)}),
         "table": cloud.table,
-        **({} if analysis.any_shape is None else {"contours": {"bound": contours}}),
+        **({} if analysis.any_shape is None else {"contours": {"bound": contours}, **_between(reached)}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": grown if is_real and not recording.rod.diameter_m else None,
         # without a bound neither it nor the volume has parts or ends
         "parts": parts if bounds.confidence else dict.fromkeys(parts),
         "volume": list(bounds.volume) if bounds.confidence else [None, None],
+    }
+
+
+def _between(reached: Reach | None) -> dict[str, Any]:
+    """The volumes of the outer body and between it and the inner one, why there is none, and where they are farthest apart."""
+    if reached is None:
+        return {
+            "outer_volume": None,
+            "volume_between": None,
+            "volume_between_missing": "no reach is stated, and the rod has no bead",
+            "widest": [],
+        }
+    found, outer = reached.volume_between, reached.outer_volume
+    why = reached.refuted or reached.unbounded or "the inner body is empty"
+    return {
+        "outer_volume": outer,
+        "volume_between": found,
+        "volume_between_missing": "" if found is not None else why,
+        "widest": reached.widest,
     }
 
 
@@ -480,6 +498,12 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         between = "between them nothing, because the body is not convex"
         if certified["bound"] is not None and np.isfinite(certified["bound"]):
             rows.append(("certified", f"within {length(certified['bound'], certified['unit'], up=True)}, by the reach"))
+        elif certified.get("outer_volume") is not None:
+            gaps = len(certified["widest"])
+            left = (
+                f"; {gaps} places outside of the surface are narrower than the bead, or not on its way" if gaps else ""
+            )
+            rows.append(("certified", f"from outside, by the bead: the body lies in that of outer.ply{left}"))
         elif probings:
             rows.append(
                 ("certified", "nothing, because the body is not convex; --reach states how fine its features are")

@@ -50,6 +50,8 @@ class Rod:
     """Of the whole rod, spread as the square of the diameter."""
     clamp_compliance_rad_per_Nm: float = 0.0
     """Angle by which the clamp gives per moment."""
+    bead_diameter_m: float = 0.0
+    """Of a ball about the tip's centre, with which a rod that moves along itself touches; 0 for none."""
     stiffness_table: Table = ()
     diameter_table: Table = ()
 
@@ -90,10 +92,21 @@ class Rod:
             object.__setattr__(self, "curvature_per_m", given)
         if not all(_is_number(part) and math.isfinite(part) for part in self.curvatures):
             raise InputError(f"a rod's curvature_per_m must be finite, got {curvature!r}")
-        for name in ("weight_N", "clamp_compliance_rad_per_Nm"):
+        for name in ("weight_N", "clamp_compliance_rad_per_Nm", "bead_diameter_m"):
             value = getattr(self, name)
             if not (_is_number(value) and 0 <= value < math.inf):
                 raise InputError(f"a rod needs a {name} of at least 0, got {value!r}")
+        if self.bead_diameter_m and (self.weight_N or any(self.curvatures)):
+            raise InputError(
+                "a rod with a bead_diameter_m is straight and without weight: where the bead of another has been is not known; "
+                "leave one of them out"
+            )
+        thickest = max(self.diameter_m, *(value for _, value in self.diameter_table), 0.0)
+        if self.bead_diameter_m and not thickest <= self.bead_diameter_m < self.length_m:
+            raise InputError(
+                f"a rod's bead_diameter_m is at least its diameter, {thickest:g} m, so that the rod passes where the bead "
+                f"has passed, and less than its length, {self.length_m:g} m; got {self.bead_diameter_m:g}"
+            )
 
     def _checked_table(self, name: str, given: object) -> Table:
         """Rows of places in m from clamp to tip and positive values."""

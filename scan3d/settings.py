@@ -57,6 +57,11 @@ class Settings:
     rod: str = _setting(
         "auto", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"
     )
+    bead: float = _setting(
+        0.0,
+        "diameter, in the mesh's unit, of a ball on the rod's tip, with which the body is probed in the spatial model: "
+        "where it has passed no part of a body of any shape is; 0: none",
+    )
     clearance: float = _setting(0.3, "distance of the base line from the slice, in rod lengths")
     tolerance: float = _setting(
         0.0,
@@ -105,6 +110,7 @@ class Settings:
             clearance=self.clearance,
             tolerance=self.tolerance,
             rod=parse_rod(self.rod),
+            bead=self.bead,
             probing=self.probing,
             known=self.known,
             stop_force=self.stop_force,
@@ -125,6 +131,7 @@ class Given(TypedDict, total=False):
     samples: int
     friction: float | str | tuple[float, float]
     rod: str
+    bead: float
     clearance: float
     tolerance: float
     probing: Probing

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from rings import cassini, recording_of
 
-from scan3d.bounds import free_space as module
-from scan3d.bounds.free_space import reach
+from scan3d.bounds import grids
+from scan3d.bounds import reach as module
+from scan3d.bounds.reach import reach
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.pipeline import analyse
@@ -23,7 +24,7 @@ HEIGHTS = np.linspace(-27.3, 27.3, 30)
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    monkeypatch.setattr(module, "AT_ONCE", 250_000)
+    monkeypatch.setattr(grids, "AT_ONCE", 250_000)
 
 
 @functools.cache

@@ -8,37 +8,13 @@ Free space is kept on a grid in each plane.  A cell counts as free if a place le
 The outer contours of a slice border what is neither free nor outside the hull of its contacts, as far as it is connected with
 a contact.  Contacts are points of the body: so every point of the outer contours lies within ``max dist(y, contacts)`` of the
 body's contour (C16).  Stretches without contact next to them are those that no rod has reached.
-
-Two bodies between which a body without fine features lies: by balls that roll around contacts and free space (C19).
-
-Premise: the body and its surroundings are unions of balls of radius R, so that nothing is thinner than 2R, no gap is narrower,
-and no edge or groove is sharper; every part of the body was touched; and there is no cavity, so that the balls of the
-surroundings are connected with the outside.
-
-*Outer body.*  A ball in the body holds no free place.  So the body lies in the union of the balls about the centres that are at
-least R away from all free places, as far as these centres are connected with such that reach a contact.
-
-*Inner body.*  A ball in the surroundings holds no contact.  So the surroundings lie in the union of the balls about the centres
-that are at least R away from all contacts, as far as these are connected with the outside.  Where contacts are apart by more
-than 2R, balls roll in between, and nothing is claimed.  The sheets of free space play no part in it.
-
-Every closed surface between the two is as close to the body's surface as they are to each other.
-
-*Test.*  At a contact p a ball of the body and one of the surroundings touch, so that their centres are at ``p ∓ R u`` with one
-unit vector u.  The one holds no free place q and the other no contact q, which is ``∓ u·(q - p) ≤ |q - p|² / 2R``.  Where no
-unit vector fulfils all of these inequalities, whatever the errors, the premise is refuted.  A contact outside the outer body or
-inside the inner one, and a place outside the one and inside the other, refute it as well.  What is not refuted is a premise.
-
-Centres and places are those of a grid.  Distances on it are never less than the true ones.  How far a centre lies from the next
-one of the grid, half the diagonal of a cell at most, is allowed for where a centre is excluded, again where a place is within R
-of one, and again where a place between the two bodies is far from both.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +23,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from planar.hidden import SNAPPED
-from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, evenly, ranges, ratio
+from scan3d.arrays import Array, Index, Mask, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -57,7 +33,7 @@ from scan3d.reconstruction.errors import felt
 from scan3d.reconstruction.probings import free_lines
 from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
 from scan3d.recording import Recording, of_rows
-from scan3d.units import UNITS_M, length
+from scan3d.units import UNITS_M
 
 # Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
 _DIRECTIONS = 48
@@ -114,6 +90,19 @@ class Sheets:
             for depth in (np.clip(self.depth, -self.apart, self.apart), np.abs(self.depth))
         )
         return found, distance
+
+    def centres(self, cells: Mask) -> Array:
+        """(n, 3) the centres of some cells."""
+        number, y, x = np.nonzero(cells)
+        flat = self.origin + self.cell * np.stack([x, y], axis=1)
+        return np.asarray(flat @ self.frame[:2] + self.height[number, None] * self.frame[2])
+
+    def thinned(self, apart: float) -> Array:
+        """(n, 3) centres of free cells: all at the border of what is free, and others so far apart."""
+        every = max(int(apart / self.cell), 1)
+        chosen = self.free & ~ndimage.binary_erosion(self.free, _IN_PLANE)
+        chosen[:, ::every, ::every] = self.free[:, ::every, ::every]
+        return self.centres(chosen)
 
     def away(self, points: Array) -> Array:
         """(n,) distance of points (n, 3) from the nearest of the planes."""
@@ -416,337 +405,3 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
     points = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
     # a corner of the cell is as far from its centre
     return Contours(points, distance + sheet.cell / np.sqrt(2))
-
-
-# Cells in R at least, and cells around the balls.
-_COARSEST, _AROUND = 4.0, 3
-_EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
-# Part of R by which a body may differ from a union of balls: edges of up to 7 degrees, as meshes of smooth bodies have.
-_SMOOTH = 0.002
-# Contacts at which two balls are sought, evenly over the recording: a hundredth of a second each.
-_TESTED = 400
-
-
-@dataclass(frozen=True)
-class Reach:
-    """What contacts and free space prove of a body without features finer than R, in the cloud's unit."""
-
-    outer: Any
-    """A `trimesh.Trimesh` that contains the body; empty where nothing bounds it."""
-    inner: Any
-    """A `trimesh.Trimesh` in the body; empty where there is none."""
-    bound: float
-    """Upper bound of the Hausdorff distance between the surface and that of the body; infinite where nothing bounds it."""
-    refuted: str | None
-    """What contradicts the premise, in a sentence; None if nothing does."""
-    unbounded: str | None
-    """Why there is no bound although nothing refutes the premise, in a sentence; None if there is one."""
-
-
-def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> Reach:
-    """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices and probings.
-
-    surface
-        a closed `trimesh.Trimesh` that the bound is for; None: any between the two bodies.
-
-    Raises InputError for an R that is no positive number or too fine for the grid, and as `surfaces.any_shape`.
-    """
-    if not (np.isfinite(R) and R > 0):
-        raise InputError(f"the reach must be a positive number, got {R}")
-    touched, sheets = cloud.fattened or cloud, list[Sheets]()
-    number = np.flatnonzero(~recording.in_probings)
-    if len(swept := touched.swept()):
-        swept = with_rows(swept, number)
-        sheets = sheets_of(of_rows(recording, number), swept, R)
-        wrong = np.zeros(len(touched), dtype=bool)
-        wrong[np.flatnonzero(~touched.probed) if touched.probed is not None else ...] = contradicted(sheets, swept)
-        touched = touched.select(~wrong)
-    contacts, errors = touched.points, place_errors(touched) + _SMOOTH * R
-    along, aside = _along_lines(recording, cloud, R)
-    free = np.concatenate([*(_free_places(sheet) for sheet in sheets), along])
-    grid = _Grid.around(contacts, R)
-    if grid.step * _COARSEST > R:
-        raise InputError(
-            f"a reach of {length(R, cloud.unit)} is too fine for a body of this size; it must be at least "
-            f"{length(_COARSEST * grid.step, cloud.unit)}"
-        )
-    error = float(errors.max())
-    of_free = max([aside, *(sheet.cell / np.sqrt(2) for sheet in sheets)]) + error
-    half = grid.step * np.sqrt(3) / 2
-    level = R + half + grid.curvature(R)
-    to_contact = grid.distance(contacts)
-    to_free = grid.distance(free)
-    in_body = to_free >= R - half - of_free
-    touching = np.nonzero(in_body & (to_contact <= R + 3 * half + error))
-    nearest = cKDTree(contacts).query(grid.origin + grid.step * np.stack(touching, axis=1))[0]
-    seeds = np.zeros(grid.shape, dtype=bool)
-    seeds[touching] = nearest <= R + half + error
-    in_body = joined(in_body, seeds, _EVERY_NEIGHBOUR)
-    in_air = joined(to_contact >= R - half - error, grid.border(), _EVERY_NEIGHBOUR)
-    to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
-    leaks = (to_body <= level) & grid.border()
-    # an open surface contains nothing
-    outer = _below(np.full(grid.shape, np.inf) if leaks.any() else to_body, level, grid)
-    inner = _below(-to_air, -level, grid)
-    # those of a body that is grown by the rod's radius leave so much less room to the surroundings
-    thick = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit] if cloud.fattened is not None else 0.0
-    thinned = np.concatenate([*(_thinned(sheet, R) for sheet in sheets), along])
-    lost = _without_balls(contacts, errors, thinned, of_free, R, R - thick)
-    against = {
-        "contacts lie where no two balls of this radius touch": lost,
-        "contacts lie outside the outer body": ~grid.within(in_body, contacts, R + half + errors),
-        "contacts lie inside the inner body": ~grid.within(in_air, contacts, R + half + errors),
-        "cells are outside the one and inside the other": (to_body > R + half) & (to_air > R + half),
-    }
-    contradictions = [f"{np.count_nonzero(where)} {what}" for what, where in against.items() if where.any()]
-    refuted = unbounded = None
-    bound = np.inf
-    if contradictions:
-        refuted = (
-            f"the body has features finer than {length(R, cloud.unit)}, or rods touched at a second place unnoticed: "
-            f"{' and '.join(contradictions)}; take a smaller reach"
-        )
-    elif leaks.any():
-        why = ""
-        for margin, text in (
-            (half + of_free - error, f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"),
-            (0.0, f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"),
-        ):
-            without = joined(to_free >= R - margin, to_contact <= R + min(margin, half), _EVERY_NEIGHBOUR)
-            if not (without & grid.border()).any():
-                why = f"{text} leave gaps which are closed without; take more slices, or a smaller reach"
-                break
-        unbounded = _open(grid, leaks, sheets, touched, R, why)
-    elif cloud.fattened is not None:
-        unbounded = (
-            "the two bodies are those of the body grown by the rod's radius; no bound of the body itself follows"
-        )
-    elif not (to_air > level).any():
-        unbounded = "contacts are too far apart to enclose anything for this reach; take more slices and samples"
-    else:
-        outside, inside = to_body > level, to_air > level
-        # a place that is in both bodies, or in neither, is in a cube of the grid with corners of such a kind: its nearest
-        # centre has neighbours, or itself, that are not outside, and such that are not inside
-        between = ~(
-            ndimage.binary_erosion(outside, _EVERY_NEIGHBOUR, border_value=1)
-            | ndimage.binary_erosion(inside, _EVERY_NEIGHBOUR)
-        )
-        wide = np.maximum(grid.from_cells(outside), grid.from_cells(inside))
-        bound = float(wide[between].max(initial=0.0) + half)
-        if surface is not None:
-            # from each face to the body's surface, which lies between the two, and back from all between the two
-            corners = np.asarray(surface.triangles)
-            middle = corners.mean(axis=1)
-            there = grid.at(wide, middle) + np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-            back = cKDTree(np.concatenate([middle, surface.vertices])).query(grid.centres(between))[0]
-            bound = float(max(there.max(), back.max(initial=0.0)) + half)
-    return Reach(outer, inner, bound, refuted, unbounded)
-
-
-def _along_lines(recording: Recording, cloud: Cloud, R: float) -> tuple[Array, float]:
-    """(n, 3) places on the lines that rods of probings have passed, a quarter of R apart, and how far rods were from them.
-
-    A rod whose end slides aside is bent by as much as the line to its contact leaves the clamp's axis.
-    """
-    lines = free_lines(recording, cloud)
-    if not len(lines):
-        return np.empty((0, 3)), 0.0
-    low, high = cloud.points.min(axis=0) - 2 * R, cloud.points.max(axis=0) + 2 * R
-    step = lines[:, 1] - lines[:, 0]
-    reach = np.linalg.norm(step, axis=1)
-    count = np.ceil(4 * reach / R).astype(np.intp) + 1
-    line, rank = ranges(count)
-    # backwards from the end, which a contact may have
-    places = lines[line, 1] - (rank / np.maximum(count - 1, 1)[line])[:, None] * step[line]
-    aside = 0.0
-    if cloud.probed is not None and cloud.probed.any():
-        axes, scale = recording.axes()[cloud.row[cloud.probed]], UNITS_M[cloud.unit]
-        offset = cloud.points[cloud.probed] - recording.position_m[cloud.row[cloud.probed]] / scale
-        aside = float(np.linalg.norm(np.einsum("nij,nj->ni", axes[:, [0, 2]], offset), axis=1).max())
-    return places[((places > low) & (places < high)).all(axis=1)], aside
-
-
-def _without_balls(points: Array, errors: Array, free: Array, of_free: float, R: float, outside: float) -> Mask:
-    """Contacts (n,) at which no ball of radius R without free places (m, 3) touches one of radius `outside` without contacts.
-
-    With the errors e of two places and ``d = q - p`` the unit vector u between the centres has ``±u·d ≤ b`` with
-    ``b = |d|²/2R + e_q + (1 + |d|/R) e_p + e_p²/2R``.  The set of all u with these is a polytope that contains 0, so that it
-    has a unit vector unless it lies inside the unit ball, which it does if the hull of all ``±d/b`` contains that ball.
-    """
-    lost = np.zeros(len(points), dtype=bool)
-    trees = cKDTree(points), cKDTree(free)
-    for k in evenly(np.arange(len(points)), _TESTED):
-        rays = [np.vstack([np.eye(3), -np.eye(3)]) / 2]  # so that the hull has an inside
-        for tree, size, sign, error in ((trees[0], outside, 1.0, errors), (trees[1], R, -1.0, of_free)):
-            if size <= 0:
-                continue
-            near = np.array(tree.query_ball_point(points[k], 2 * size), dtype=int)
-            d = tree.data[near] - points[k]
-            long = np.linalg.norm(d, axis=1)
-            own, other = errors[k], error[near] if isinstance(error, np.ndarray) else error
-            b = long**2 / (2 * size) + other + (1 + long / size) * own + own**2 / (2 * size)
-            some = long > b  # shorter rays are in the ball
-            rays.append(sign * d[some] / b[some, None])
-        hull = ConvexHull(np.concatenate(rays))
-        lost[k] = bool((hull.equations[:, 3] < -1 - ROUNDING).all())
-    return lost
-
-
-def _thinned(sheet: Sheets, R: float) -> Array:
-    """(n, 3) centres of free cells: all at the border of what is free, and others a tenth of R apart."""
-    every = max(int(0.1 * R / sheet.cell), 1)
-    chosen = sheet.free & ~ndimage.binary_erosion(sheet.free, _IN_PLANE)
-    chosen[:, ::every, ::every] = sheet.free[:, ::every, ::every]
-    return _centres(sheet, chosen)
-
-
-def _open(grid: _Grid, leaks: Mask, sheets: list[Sheets], touched: Cloud, R: float, why: str) -> str:
-    """Towards which sides nothing bounds a body, and why, if that is not known already."""
-    places = grid.centres(leaks)
-    sides = [
-        f"{sign}{name}"
-        for axis, name in enumerate("xyz")
-        for sign, end in (("-", 0), ("+", grid.shape[axis] - 1))
-        if np.take(leaks, end, axis=axis).any()
-    ]
-    # the slices of no axis go past both ends of the body
-    filled = touched.slice[touched.slice >= 0]
-    ends = [{0, len(sheet.height) - 1} & {*sheet.number[filled].tolist()} for sheet in sheets]
-    gap = np.zeros(len(places))
-    for sheet in sheets:
-        if len(sheet.height) > 1:
-            above = np.clip(np.searchsorted(sheet.height, places @ sheet.frame[2]), 1, len(sheet.height) - 1)
-            gap = np.maximum(gap, np.diff(sheet.height)[above - 1])
-    apart = float(gap.max(initial=0.0))
-    if why:
-        pass
-    elif not sheets:
-        why = "probings leave places out; probe in more planes, or take a larger reach"
-    elif all(ends):
-        why = (
-            "no slice without contact lies beyond the body's end; add slices past its ends, or scan along further axes"
-        )
-    elif apart > 2 * R:
-        why = f"slices are {length(apart, touched.unit)} apart, more than twice the reach; take more slices"
-    else:
-        why = "sweeps leave places out; sweep from more sides, or scan along further axes"
-    return f"nothing bounds the body towards {', '.join(sides)}: {why}"
-
-
-def _free_places(sheet: Sheets) -> Array:
-    """(n, 3) the centres of the free cells."""
-    return _centres(sheet, sheet.free)
-
-
-def _centres(sheet: Sheets, cells: Mask) -> Array:
-    """(n, 3) the centres of some cells."""
-    number, y, x = np.nonzero(cells)
-    flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
-    return flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Cubes around contacts."""
-
-    origin: Array
-    """(3,) centre of the first cube."""
-    step: float
-    shape: tuple[int, int, int]
-
-    @classmethod
-    def around(cls, points: Array, R: float) -> _Grid:
-        low, high = points.min(axis=0) - R, points.max(axis=0) + R
-        step = float(np.prod(high - low) / AT_ONCE) ** (1 / 3)
-        count = np.ceil((high - low) / step).astype(int) + 2 * _AROUND + 1
-        return cls(low - _AROUND * step, step, (int(count[0]), int(count[1]), int(count[2])))
-
-    def border(self) -> Mask:
-        border = np.ones(self.shape, dtype=bool)
-        border[1:-1, 1:-1, 1:-1] = False
-        return border
-
-    def centres(self, cells: Mask) -> Array:
-        """(n, 3) the centres of some cells."""
-        return np.asarray(self.origin + self.step * np.stack(np.nonzero(cells), axis=1))
-
-    def cells_of(self, points: Array) -> tuple[Index, Mask]:
-        """The cells (n, 3) of those points that are in the grid, and which (m,) these are."""
-        cells = np.round((points - self.origin) / self.step).astype(int)
-        known: Mask = np.all((cells >= 0) & (cells < self.shape), axis=1)
-        return cells[known], known
-
-    def distance(self, points: Array) -> Array:
-        """Distance of every cell's centre from a point (n, 3) nearby: never less than from the nearest."""
-        cells, known = self.cells_of(points)
-        flat = np.ravel_multi_index(tuple(cells.T), self.shape)
-        chosen = np.full(int(np.prod(self.shape)), -1)
-        chosen[flat] = np.flatnonzero(known)
-        chosen = chosen.reshape(self.shape)
-        nearest = ndimage.distance_transform_edt(chosen < 0, return_distances=False, return_indices=True)
-        point = chosen[tuple(nearest)]
-        squares = np.zeros(self.shape)
-        for axis, n in enumerate(self.shape):
-            place = self.origin[axis] + self.step * np.arange(n)
-            squares += (place.reshape([-1 if k == axis else 1 for k in range(3)]) - points[:, axis][point]) ** 2
-        return np.asarray(np.sqrt(squares))
-
-    def from_cells(self, cells: Mask) -> Array:
-        """Distance of every cell's centre from that of the nearest of some cells; infinite if there are none."""
-        if not cells.any():
-            return np.full(self.shape, np.inf)
-        return self.step * ndimage.distance_transform_edt(~cells)
-
-    def curvature(self, R: float) -> float:
-        """By how much a surface of distance R, linear along the edges of the cubes, may lie inside that of the true distance.
-
-        A distance d from some centres is concave but for ``|x|²/2d``: along an edge its interpolation exceeds it by step²/8d at
-        most, and at a mean of places in one cube, whose mean square from their mean is 3 step²/4 at most, by 3 step²/8d.
-        The least d in a cube through which the surface passes is R less half its diagonal.
-        """
-        return self.step**2 / (2 * (R - self.step * np.sqrt(3) / 2))
-
-    def within(self, cells: Mask, points: Array, most: Array) -> Mask:
-        """(n,) whether points (n, 3) are within distances (n,) of the centre of one of some cells, or in one of them."""
-        edge = cells & ~ndimage.binary_erosion(cells, _EVERY_NEIGHBOUR)
-        if not edge.any():
-            return np.zeros(len(points), dtype=bool)
-        near = cKDTree(self.centres(edge)).query(points)[0] <= most
-        return np.asarray(near | (self.at(cells.astype(float), points) > 0))
-
-    def at(self, values: Array, points: Array) -> Array:
-        """The values (n,) of the cells of points (n, 3); -inf for those outside the grid."""
-        cells, known = self.cells_of(points)
-        found = np.full(len(points), -np.inf)
-        found[known] = values[tuple(cells.T)]
-        return found
-
-
-def _below(field: Array, level: float, grid: _Grid) -> Any:
-    """The surface of the region below a level, as a `trimesh.Trimesh`, outward; empty where there is none.
-
-    The field has values at the centres of the cells, above the level at the border, and is linear in between.
-    """
-    import trimesh
-    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-    from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
-    image = vtkImageData()
-    image.SetDimensions(*field.shape)
-    image.SetOrigin(*grid.origin)
-    image.SetSpacing(*np.full(3, grid.step))
-    image.GetPointData().SetScalars(numpy_to_vtk(np.asarray(field, dtype=float).ravel(order="F"), deep=True))
-    contour = vtkFlyingEdges3D()
-    contour.SetInputData(image)
-    contour.SetValue(0, level)
-    contour.ComputeNormalsOff()
-    contour.ComputeScalarsOff()
-    contour.Update()
-    found = contour.GetOutput()
-    if not found.GetNumberOfPolys():
-        return trimesh.Trimesh()
-    vertices = vtk_to_numpy(found.GetPoints().GetData()).astype(float)
-    faces = vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return mesh if mesh.volume > 0 else trimesh.Trimesh(vertices, faces[:, ::-1], process=False)

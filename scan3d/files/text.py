@@ -271,6 +271,7 @@ def read_rod(section: Section) -> Rod:
         "curvature_per_m": tuple(curvature) if isinstance(curvature, list) else curvature,
         "weight_N": section.number("weight_N", 0.0),
         "clamp_compliance_rad_per_Nm": section.number("clamp_compliance_rad_per_Nm", 0.0),
+        "bead_diameter_m": section.number("bead_diameter_m", 0.0),
     }
     with section.errors_named():
         if length is not None and stiffness is not None:
@@ -290,7 +291,7 @@ def rod_section(rod: Rod) -> dict[str, Any]:
         "bending_stiffness_Nm2": rod.stiffness_table or rod.bending_stiffness_Nm2,
         "diameter_m": rod.diameter_table or rod.diameter_m,
     }
-    further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm")
+    further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm", "bead_diameter_m")
     return table | {name: value for name in further if (value := getattr(rod, name))}
 
 

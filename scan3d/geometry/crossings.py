@@ -1,4 +1,5 @@
-"""Where straight lines first meet a triangle mesh of any shape: what the tip of a rod meets that moves along itself."""
+"""Where straight lines, and balls along them, first meet a triangle mesh of any shape: what the tip of a rod meets that moves
+along itself."""
 
 from __future__ import annotations
 
@@ -117,3 +118,89 @@ def _along_faces(corners: Array, x: Array, y: Array, least: float) -> Array:
     width = high[:, 0] - low[:, 0]
     share = np.where(np.abs(width) > least, np.clip(ratio(y - low[:, 0], width), 0.0, 1.0), 0.0)
     return np.asarray(low[:, 1] + share * (high[:, 1] - low[:, 1]))
+
+
+def first_touches(mesh: Any, start: Array, along: Array, radius: float) -> tuple[Array, Array]:
+    """Where balls first touch a mesh whose centres move along lines: distances (n,) of the centres from their starts, infinite
+    where there is nothing, and unit vectors (n, 3) from the places that are touched to the centres.
+
+    mesh
+        a closed `trimesh.Trimesh`.
+    start, along (n, 3)
+        where the centres begin, farther than the radius outside of the body, and unit vectors.
+
+    A ball touches a face inside of it, where its centre crosses the plane that is the radius before it; an edge, where it
+    crosses the cylinder about it; or a corner, where it crosses the sphere.
+    """
+    distance, normal = np.full(len(start), np.inf), np.full((len(start), 3), np.nan)
+    direction, number = np.unique(along, axis=0, return_inverse=True)
+    corners = mesh.triangles.view(np.ndarray)
+    for k, common in enumerate(direction):
+        rows = np.flatnonzero(number.reshape(-1) == k)
+        frame = _frame(start[rows], common)
+        flat, lines = corners @ frame[:2].T, start[rows] @ frame[:2].T
+        low, high = flat.min(axis=1) - radius, flat.max(axis=1) + radius
+        order = np.argsort(lines[:, 1], kind="stable")
+        first = np.searchsorted(lines[order, 1], low[:, 1])
+        count = np.searchsorted(lines[order, 1], high[:, 1], side="right") - first
+        near = np.flatnonzero(count)
+        blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE // 8, count.sum(), AT_ONCE // 8))
+        for some in np.split(near, np.unique(blocks)):
+            which, after = ranges(count[some])
+            face, line = some[which], order[first[some][which] + after]
+            beside = (lines[line, 0] >= low[face, 0]) & (lines[line, 0] <= high[face, 0])
+            face, line = face[beside], line[beside]
+            met, away = _touched(corners[face], start[rows[line]], common, radius)
+            nearest = np.lexsort((met, line))
+            nearest = nearest[np.diff(line[nearest], prepend=-1) > 0]
+            closer = nearest[met[nearest] < distance[rows[line[nearest]]]]
+            distance[rows[line[closer]]], normal[rows[line[closer]]] = met[closer], away[closer]
+    return distance, normal
+
+
+def _touched(corners: Array, start: Array, along: Array, radius: float) -> tuple[Array, Array]:
+    """Where balls (m,) first touch triangles (m, 3, 3), one each, and unit vectors (m, 3) from there to their centres."""
+    found, away = np.full(len(start), np.inf), np.zeros((len(start), 3))
+
+    def put(rows: Index, distance: Array, touched: Array) -> None:
+        closer = (distance >= 0) & (distance < found[rows])
+        rows, distance = rows[closer], distance[closer]
+        found[rows] = distance
+        away[rows] = (start[rows] + distance[:, None] * along - touched[closer]) / radius
+
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.cross(edges[:, 0], edges[:, 1])
+    size = np.linalg.norm(across, axis=1)
+    towards = across @ along
+    rows: Index = np.flatnonzero(np.abs(towards) > ROUNDING * size)
+    # on the side from which the ball comes
+    across = -np.sign(towards[rows])[:, None] * across[rows] / size[rows, None]
+    height = ((start[rows] - corners[rows, 0]) * across).sum(axis=1) - radius
+    distance = height / -(across @ along)
+    touched = start[rows] + distance[:, None] * along - radius * across
+    sides = np.cross(edges[rows], touched[:, None] - corners[rows]) @ across[..., None]
+    within = (sides[..., 0] >= 0).all(axis=1) | (sides[..., 0] <= 0).all(axis=1)
+    put(rows[within], distance[within], touched[within])
+    for k in range(3):
+        edge, offset = edges[:, k], start - corners[:, k]
+        square = (edge * edge).sum(axis=1)
+        # across the edge
+        beside = along - ((edge @ along) / square)[:, None] * edge
+        apart = offset - ((offset * edge).sum(axis=1) / square)[:, None] * edge
+        distance, rows = _root(beside, apart, radius)
+        part = ((offset[rows] + distance[:, None] * along) * edge[rows]).sum(axis=1) / square[rows]
+        within = (part > 0) & (part < 1)
+        put(rows[within], distance[within], (corners[rows, k] + part[:, None] * edge[rows])[within])
+        distance, rows = _root(np.broadcast_to(along, offset.shape), offset, radius)
+        put(rows, distance, corners[rows, k])
+    return found, away
+
+
+def _root(rate: Array, offset: Array, radius: float) -> tuple[Array, Index]:
+    """The least t (m,) with ``|offset + t rate| = radius`` of those rows (m,) of vectors (n, 3) that have one."""
+    a, b = (rate * rate).sum(axis=1), (rate * offset).sum(axis=1)
+    # of the part across the rate, which is exact where the offset is long
+    nearest = offset - ratio(b, a)[:, None] * rate
+    rest = radius**2 - (nearest * nearest).sum(axis=1)
+    rows = np.flatnonzero((a > ROUNDING) & (rest >= 0))
+    return -b[rows] / a[rows] - np.sqrt(rest[rows] / a[rows]), rows

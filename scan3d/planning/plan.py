@@ -76,6 +76,8 @@ class Plan:
     rod
         a `scan3d.Rod`, in SI units; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the
         body.
+    bead
+        diameter of a ball on the rod's tip, in the unit of the mesh; 0: none, or that of `rod`.
     gravity
         a `scan3d.Gravity`, of a rod that has a weight: it must lie in the planes of the slices.
     probing
@@ -108,6 +110,7 @@ class Plan:
     friction: float | tuple[float, float] = 0.3
     clearance: float = 0.3
     rod: Rod | None = None
+    bead: float = 0.0
     gravity: Gravity | None = None
     probing: Probing = "auto"
     known: float = 0.0
@@ -146,6 +149,13 @@ class Plan:
             raise InputError(
                 f"gravity must be a scan3d.Gravity, needed with a rod that has a weight, got {self.gravity!r}"
             )
+        if not (is_finite(self.bead) and self.bead >= 0):
+            raise InputError(f"bead must be a diameter >= 0, got {self.bead}")
+        if self.has_bead and (self.model != "spatial" or self.probing == "off"):
+            raise InputError(
+                "a bead touches beside the rod's end, and nothing is known of sweeps with one: choose the spatial model, "
+                "with probing auto or only"
+            )
         self.stop_force_of(Rod.of_length(1.0))
         self.axes()
         for name in ("spacing", "axis", "tolerance") if self.model == "spatial" else ():
@@ -154,6 +164,11 @@ class Plan:
                 raise InputError(
                     f"{name} is a setting of slices, and the spatial model has none; leave out {name} {value!r}"
                 )
+
+    @property
+    def has_bead(self) -> bool:
+        """Whether the rod has a bead on its tip, so that the body is probed only."""
+        return bool(self.bead or (self.rod is not None and self.rod.bead_diameter_m))
 
     @property
     def is_free(self) -> bool:

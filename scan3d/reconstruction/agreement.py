@@ -44,6 +44,7 @@ from scipy.special import chdtri, ndtri
 import planar
 from scan3d.arrays import AT_ONCE, Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, LeftOut, Tilt, Unmeasured
+from scan3d.errors import InputError
 from scan3d.reconstruction import probings
 from scan3d.reconstruction.contacts import (
     contacts,
@@ -539,6 +540,14 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
 def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
     """`reconstruct` of a recording all of whose rows were measured."""
     along = recording.in_probings
+    if (
+        recording.rod.bead_diameter_m
+        and felt(recording.pressing(model == "spatial"), recording.noise.of_reactions(recording.rod))[~along].any()
+    ):
+        raise InputError(
+            "in sweeps a bead would touch where the rod is taken to: a rod with bead_diameter_m gives contacts of probings "
+            "only, sweeps along the clamp's y axis; leave the others out of the recording, or sweep with a rod without bead"
+        )
     if along.any():
         return _with_probings(recording, along, method, model)
     if model == "spatial":

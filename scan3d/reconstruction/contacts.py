@@ -222,9 +222,11 @@ def with_rows(cloud: Cloud, rows: Index) -> Cloud:
 def into_body(recording: Recording, cloud: Cloud) -> Array:
     """(n, 3) unit vectors from the contacts into the body: against the normals, or along the rods whose ends touch.
 
-    Normals are those in the planes of slices, as far as they are known.
+    Normals are those in the planes of slices, as far as they are known, and those of beads.
     """
     along = recording.axes()[cloud.row, 1]
+    if cloud.bead_centres is not None:
+        along = (cloud.points - cloud.bead_centres) / cloud.bead_radius
     return np.where(np.isfinite(cloud.in_plane_normals), -cloud.in_plane_normals, along)
 
 

@@ -246,7 +246,9 @@ def _contacts(
         bent = reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m])
         pulled = None if down is None else down[rows].T
         measured = recording.noise.of_reactions(recording.rod)
-        point = inverse.at_ends(force.T, moment.T, measured, rod=bent, gravity=pulled, in_plane=noise is None).point.T
+        bead = rod.bead_diameter_m / 2 / rod.length_m
+        ends = inverse.at_ends(force.T, moment.T, measured, rod=bent, gravity=pulled, in_plane=noise is None, bead=bead)
+        point = ends.point.T - bead * ends.normal
         point = offset + (1 + error[1]) * point + np.cross(turn, point)
         along = np.broadcast_to([0.0, 1.0, 0.0], point.shape)
         return point, along + np.cross(turn, along), np.ones(len(point))

@@ -14,12 +14,12 @@ Premises: the rod is straight at rest, so that it follows its end, and as thin a
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import planar
-from scan3d.arrays import ROUNDING, Array, Index
+from scan3d.arrays import ROUNDING, Array, Index, Mask, ranges
 from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
 from scan3d.errors import InputError
 from scan3d.reconstruction.errors import RIGHT_ROWS, NoContactError, felt
@@ -40,6 +40,11 @@ def contacts(recording: Recording, model: str) -> Cloud:
             "a rod that is curved does not follow its end when it moves along its clamp's y axis: probe with a straight "
             "one, or leave the sweeps along y out of the recording"
         )
+    if rod.bead_diameter_m and not six_axis:
+        raise InputError(
+            "a bead is touched beside the plane of any sweep: of a rod with bead_diameter_m measure six axes, for the "
+            "spatial model"
+        )
     noise = recording.noise.of_reactions(rod)
     touched = np.flatnonzero(felt(recording.pressing(six_axis), noise))
     rows = np.sort(touched[np.unique(recording.sweep[touched], return_index=True)[1]])
@@ -49,9 +54,15 @@ def contacts(recording: Recording, model: str) -> Cloud:
     if not len(rows):
         raise nothing
     force, moment = (part[rows].T for part in recording.reactions(six_axis))
-    down = recording.down()
+    down, bead = recording.down(), rod.bead_diameter_m / 2 / rod.length_m
     found = inverse.at_ends(
-        force, moment, noise, rod=rod.in_space(), gravity=None if down is None else down[rows].T, in_plane=not six_axis
+        force,
+        moment,
+        noise,
+        rod=rod.in_space(),
+        gravity=None if down is None else down[rows].T,
+        in_plane=not six_axis,
+        bead=bead,
     )
     # of one of all contacts, in the mean of twenty recordings, noise says so wrongly
     alone = found.chance >= RIGHT_ROWS / len(rows)
@@ -59,12 +70,15 @@ def contacts(recording: Recording, model: str) -> Cloud:
     if not len(rows):
         raise nothing
     axes, length, n = recording.axes()[rows], rod.length_m / scale, len(rows)
-    points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[:, alone].T, axes)
+    centres = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[:, alone].T, axes)
+    points = centres - bead * length * np.einsum("ni,nij->nj", found.normal[alone], axes)
     pose = recording.noise.pose_m / scale
     noisy = max(*noise, pose / length) > ROUNDING
-    turned = length**2 * np.einsum("nij,nik,njl->nkl", found.covariance[alone], axes, axes)
-    covariance = turned + pose**2 * np.eye(3)
-    place_sd = np.sqrt(np.linalg.eigvalsh(covariance)[:, 2])
+    of_centre, covariance = (
+        length**2 * np.einsum("nij,nik,njl->nkl", part[alone], axes, axes) + pose**2 * np.eye(3)
+        for part in (found.covariance, found.covariance + bead**2 * found.normal_covariance)
+    )
+    bead_sd, place_sd = (np.sqrt(np.linalg.eigvalsh(part)[:, 2]) for part in (of_centre, covariance))
     unknown = np.full((n, 3), np.nan)
     return Cloud(
         points=points,
@@ -92,20 +106,62 @@ def contacts(recording: Recording, model: str) -> Cloud:
         model=model,
         independent=recording.noise.independent,
         probed=np.ones(n, dtype=bool),
+        bead_radius=bead * length,
+        bead_centres=centres if bead else None,
+        bead_sd=bead_sd if bead and noisy else None,
     )
 
 
-def free_lines(recording: Recording, cloud: Cloud) -> Array:
-    """(m, 2, 3) the lines that the rods of all probings and their ends have passed, in the cloud's unit; none in the body.
+class Passed(NamedTuple):
+    """Where the centre lines of rods of probings (m,) have been, in the cloud's unit."""
 
-    Each goes from the clamp at the first place, or, where something was felt, to the contact.  Where a contact that was felt is
-    not in the cloud, the line ends where the rod's end was before.
+    begin: Array
+    """(m, 3) the clamp at the first place."""
+    axis: Array
+    """(m, 3) unit vector along which it moved."""
+    end: Array
+    """(m, 3) the rod's end at the last place: in contact, if that is in the cloud, and before it otherwise."""
+    touching: Index
+    """(m,) the contact in the cloud; -1 if there is none."""
+
+    def select(self, rows: Mask) -> Passed:
+        """Those of some probings (m,)."""
+        return Passed(self.begin[rows], self.axis[rows], self.end[rows], self.touching[rows])
+
+    def places(self, apart: float, rod_length: float = np.inf) -> Array:
+        """(n, 3) places at most so far apart on the axes, from where the clamp began to where the end came.
+
+        With a `rod_length` the last part is that of the rod, a cantilever, ``(3 s² - s³)/2``, whose end is aside of the axis.
+        """
+        reach, aside = self.reach()
+        count = np.ceil(reach / apart).astype(np.intp) + 1
+        line, rank = ranges(count)
+        # backwards from the end, which a contact may have
+        back = rank / np.maximum(count - 1, 1)[line] * reach[line]
+        places = self.begin[line] + (reach[line] - back)[:, None] * self.axis[line]
+        if np.isfinite(rod_length):
+            s = np.maximum(1 - back / rod_length, 0.0)[:, None]
+            places += s**2 * (3 - s) / 2 * aside[line]
+        return np.asarray(places)
+
+    def reach(self) -> tuple[Array, Array]:
+        """How far (m,) along the axis the end went, and by how much (m, 3) it is aside of it there."""
+        step = self.end - self.begin
+        along = (step * self.axis).sum(axis=1)
+        return along, step - along[:, None] * self.axis
+
+
+def passed_in_probings(recording: Recording, cloud: Cloud) -> Passed:
+    """Where the rods of all probings of a recording have been: on their axes, until a force bent them.
+
+    Where a contact that was felt is not in the cloud, the end is that of the last row before.
     """
     rows = np.flatnonzero(recording.in_probings)
     rows = rows[np.argsort(recording.sweep[rows], kind="stable")]
     begins = np.flatnonzero(np.diff(recording.sweep[rows], prepend=-1))
     if not len(rows):
-        return np.empty((0, 2, 3))
+        nothing = np.empty((0, 3))
+        return Passed(nothing, nothing, nothing, np.empty(0, dtype=np.intp))
     scale, rod, axes = UNITS_M[recording.unit], recording.rod, recording.axes()
     pressed = felt(recording.pressing(recording.six_axis), recording.noise.of_reactions(rod))[rows]
     number = np.cumsum(np.diff(recording.sweep[rows], prepend=-1) != 0) - 1
@@ -115,8 +171,16 @@ def free_lines(recording: Recording, cloud: Cloud) -> Array:
     first, last = rows[begins], rows[begins + np.maximum(count, 1) - 1]
     end = (recording.position_m[last] + rod.length_m * axes[last, 1]) / scale
     probed = np.flatnonzero(np.zeros(len(cloud), dtype=bool) if cloud.probed is None else cloud.probed)
-    end[np.searchsorted(recording.sweep[first], cloud.sweep[probed])] = cloud.points[probed]
-    return np.stack([recording.position_m[first] / scale, end], axis=1)[count > 0]
+    ends = cloud.points if cloud.bead_centres is None else cloud.bead_centres
+    where, touching = np.searchsorted(recording.sweep[first], cloud.sweep[probed]), np.full(len(first), -1)
+    end[where], touching[where] = ends[probed], probed
+    return Passed(recording.position_m[first] / scale, axes[first, 1], end, touching).select(count > 0)
+
+
+def free_lines(recording: Recording, cloud: Cloud) -> Array:
+    """(m, 2, 3) the lines from where the clamps of all probings began to where their rods' ends came, in the cloud's unit."""
+    passed = passed_in_probings(recording, cloud)
+    return np.stack([passed.begin, passed.end], axis=1)
 
 
 def with_probings(swept: Cloud | None, probed: Cloud) -> Cloud:

@@ -1,10 +1,11 @@
 """Probings, simulated: the clamp moves along its own y axis until the force of the rod's end on the body has a given size.
 
-The end first meets the body where the line along the rod crosses its surface.  Where the surface's normal is within the
-friction angle of the rod's axis, the end stays there, and the force is along the rod.  Else the end slides aside: the force is
-on the edge of the friction cone, in the plane of axis and normal, and bends the rod.  The end is then where the line crosses
-the surface that is as far beside as the rod is bent, which is found by iteration.  It ends at once on a plane face; where the
-end comes to a groove, or slips off an edge, it does not, and the probing is left out.
+The end first meets the body where the line along the rod crosses its surface, or where a bead about the end first touches it,
+across the line from there to the bead's centre.  Where the surface's normal is within the friction angle of the rod's axis,
+the end stays there, and the force is along the rod.  Else the end slides aside: the force is on the edge of the friction cone,
+in the plane of axis and normal, and bends the rod.  The end is then where the line crosses the surface that is as far beside as
+the rod is bent, which is found by iteration.  It ends at once on a plane face; where the end comes to a groove, or slips off an
+edge, it does not, and the probing is left out.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array, Mask, unit_or_zero
-from scan3d.geometry.crossings import first_met
+from scan3d.geometry.crossings import first_met, first_touches
 from scan3d.geometry.triangles import face_normals
 from scan3d.planning.plan import Plan
 from scan3d.planning.probing import PER_ROUND, PLANES, Probings, Unknown
@@ -131,33 +132,43 @@ def felt_along(
     weight = np.zeros((3, n)) if down is None else -bent.profile.weight * down
     in_air = free_reactions(bent, down)[1] if down is not None else np.zeros((3, n))
     hanging = ends(bent, weight, in_air, down).point
+    bead = rod.bead_diameter_m / 2 * length / rod.length_m
     normals = face_normals(mesh)
-    point, force, moment = hanging.copy(), weight.copy(), in_air.copy()
+
+    def met_by(start: Array, along: Array) -> tuple[Array, Array]:
+        if bead:
+            return first_touches(mesh, start, along, bead)
+        far, face = first_met(mesh, start, along)
+        return far, normals[face]
+
+    point, force, moment, onto = hanging.copy(), weight.copy(), in_air.copy(), np.zeros((3, n))
     distance, active = np.full(n, np.inf), np.arange(n)
     resolved, steps = np.ones(n, dtype=bool), None
     for number in range(_ROUNDS):
         beside = point[:, active].copy()
         beside[1] = 0.0
         start = moves.start[active] + length * np.einsum("in,nij->nj", beside, moves.axes[active])
-        far, face = first_met(mesh, start, moves.axes[active, 1])
+        far, normal = met_by(start, moves.axes[active, 1])
         distance[active] = far
         met = np.isfinite(far)
         if number:  # a rod that is bent touches something
             resolved[active] &= met
-        active, face = active[met], face[met]
-        local = np.einsum("nij,nj->ni", moves.axes[active], normals[face])
+        active = active[met]
+        local = np.einsum("nij,nj->ni", moves.axes[active], normal[met])
         if planar:
             local[:, 2] = 0.0
         pushed = stop * _direction(local, np.arctan(friction[active])).T
         pulled = None if down is None else down[:, active]
         before, last = point[:, active], force[:, active]
         force[:, active] = weight[:, active] - pushed
-        moment[:, active] += cross(before, force[:, active] - last)
+        # of the force on the surface of the bead about its centre
+        at_end = cross(-bead / length * local.T, pushed)
+        moment[:, active] += cross(before, force[:, active] - last) - (at_end - onto[:, active])
+        onto[:, active] = at_end
         # the forces of later rounds hardly differ, so that as many steps are enough
         found = ends(bent, force[:, active], moment[:, active], pulled, steps)
         steps = found.steps
-        # the moment that is left at the end, about d1 = z, d2 = x and d3 = y, as the rod is nearly straight
-        change = found.moment[[1, 2, 0]]
+        change = found.moment - at_end
         moment[:, active] += change
         point[:, active] = found.point
         moved = np.abs(np.concatenate([(found.point - before)[[0, 2]], change])).max(axis=0, initial=0.0)

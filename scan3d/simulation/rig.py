@@ -160,11 +160,15 @@ def simulate_rig(
     if (model == "planar" and nominal.tapered) or not convex:  # as in scans of meshes
         nominal = nominal.without_thickness()
     check_positions("poses", poses.position_m, nominal.length_m)
+    if nominal.bead_diameter_m and (poses.move == Move.SWEEP).any():
+        raise InputError(
+            "a simulated rod with a bead probes, and does not sweep; plan with probing, or a rod without bead"
+        )
     real = nominal  # the rod that is in the clamp
     if faults is not None:
         length = nominal.length_m * (1 + faults.length_error)
         stiffness = nominal.bending_stiffness_Nm2 * (1 + faults.stiffness_error)
-        real = Rod(length, stiffness, nominal.diameter_m)
+        real = Rod(length, stiffness, nominal.diameter_m, bead_diameter_m=nominal.bead_diameter_m)
     metres = UNITS_M[unit]
     length, radius = real.length_m / metres, real.diameter_m / metres / 2
     settings = Plan(

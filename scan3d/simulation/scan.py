@@ -99,7 +99,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
     _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
     convex = is_convex(mesh)
-    along = plan.probing == "only" or (plan.probing == "auto" and not convex)
+    along = plan.probing == "only" or plan.has_bead or (plan.probing == "auto" and not convex)
     if plan.tolerance and (along or not convex):
         raise InputError(
             "a tolerance is met by the certified bound between slices, which a body that is not convex does not have; leave "
@@ -180,7 +180,8 @@ def rod_for(mesh: Any, plan: Plan) -> Rod:
         raise InputError("a body is probed with a rod that is straight at rest; choose such a rod, or probing off")
     diagonal = UNITS_M[plan.unit] * float(np.linalg.norm(mesh.extents))
     # the clamp stays away from the body
-    return (plan.rod or Rod.of_length(diagonal / (1 - 2 * AWAY))).without_thickness()
+    rod = (plan.rod or Rod.of_length(diagonal / (1 - 2 * AWAY))).without_thickness()
+    return replace(rod, bead_diameter_m=UNITS_M[plan.unit] * plan.bead) if plan.bead else rod
 
 
 def _check_size(mesh: Any, plan: Plan, slices: int, sweeps: float) -> None:

@@ -332,11 +332,19 @@ class AtEnds(NamedTuple):
     """The ends (n,) of rods that are touched there alone, in rod lengths and in the clamp's frame."""
 
     point: Array
-    """(3, n)"""
+    """(3, n) where the centre lines end, which is where a bead has its centre."""
     covariance: Array
     """(n, 3, 3) by the noise."""
     chance: Array
     """(n,) probability that noise makes the moment at the end as large as it is; 0 where exact reactions have one."""
+    normal: Array
+    """(n, 3) of a bead: unit vectors from where it is touched to its centre."""
+    normal_covariance: Array
+    """(n, 3, 3) by the noise."""
+
+
+# Standard deviation of the angle between force and normal in radians, before their moment tells it: that of friction.
+_FRICTION_ANGLE = 0.3
 
 
 def at_ends(
@@ -347,14 +355,17 @@ def at_ends(
     rod: SpatialRod,
     gravity: Array | None = None,
     in_plane: bool = False,
+    bead: float = 0.0,
 ) -> AtEnds:
     """Where rods end that are touched there alone, by support reactions (3, n) and the noise of force and moment.
 
     The moment at the end vanishes, which conditions the reactions.  In a plane nothing is known of fz, mx and my, which are 0.
+    On a bead of a radius, in rod lengths, the force F acts beside its centre, on its surface, and the moment there,
+    ``b F × n``, tells the normal n; what noise hides of it is taken from friction: n is near F.
     """
     channels = np.array([0, 1, 5]) if in_plane else np.arange(6)
-    # about d1 = z, d2 = x and d3 = y; in a plane about z alone
-    vanishing = np.arange(1 if in_plane else 3)
+    # in a plane about z alone
+    vanishing = np.array([2]) if in_plane else np.arange(3)
 
     def marched(reactions: Array) -> tuple[Array, Array]:
         found = march.ends(rod, reactions[:3], reactions[3:], gravity)
@@ -363,8 +374,18 @@ def at_ends(
     reactions = np.concatenate([force, moment])
     point, left = marched(reactions)
     n, sd = reactions.shape[1], np.repeat(noise, 3)[channels]
+    pressing = (-force - (0.0 if gravity is None else rod.profile.weight * gravity)).T
+    size = np.linalg.norm(pressing, axis=1)
+    along = pressing / np.where(size > 0, size, 1.0)[:, None]
+    lever = bead * size
     if sd.max() <= ROUNDING:
-        return AtEnds(point, np.zeros((n, 3, 3)), np.where(np.abs(left).max(axis=1) <= planar.TOLERANCE, 1.0, 0.0))
+        chance = np.abs(left).max(axis=1) <= planar.TOLERANCE
+        if bead:
+            chance = (np.abs(_dot(left, along)) <= planar.TOLERANCE) & (
+                np.linalg.norm(left, axis=1) <= lever + planar.TOLERANCE
+            )
+        nothing = np.zeros((n, 3, 3))
+        return AtEnds(point, nothing, np.where(chance, 1.0, 0.0), _normals(along, left, lever), nothing)
     places, moments = np.empty((n, 3, len(channels))), np.empty((n, len(vanishing), len(channels)))
     for k, channel in enumerate(channels):
         step = DIFFERENCE * np.eye(6)[channel][:, None]
@@ -375,9 +396,29 @@ def at_ends(
         )
     spread = np.diag(sd**2)
     of_moment = moments @ spread @ moments.transpose(0, 2, 1)
+    by_bead = np.zeros_like(of_moment)
+    if bead:
+        across = np.eye(3) - along[:, :, None] * along[:, None]
+        by_bead = (_FRICTION_ANGLE * lever)[:, None, None] ** 2 * across
+        of_moment = of_moment + by_bead
     gain = np.linalg.solve(of_moment, moments @ spread).transpose(0, 2, 1)
-    statistic = np.einsum("ni,ni->n", left, np.linalg.solve(of_moment, left[..., None])[..., 0])
+    weighted = np.linalg.solve(of_moment, left[..., None])
     better = reactions.copy()
     better[channels] -= (gain @ left[..., None])[..., 0].T
     covariance = places @ (spread - gain @ moments @ spread) @ places.transpose(0, 2, 1)
-    return AtEnds(marched(better)[0], covariance, chdtrc(len(vanishing), statistic))
+    chance = chdtrc(len(vanishing), (left[..., None] * weighted)[..., 0].sum(axis=1))
+    normal, of_normal = along, np.zeros((n, 3, 3))
+    if bead:
+        normal = _normals(along, (by_bead @ weighted)[..., 0], lever)
+        rest = (by_bead - by_bead @ np.linalg.solve(of_moment, by_bead)) / lever[:, None, None] ** 2
+        turn = np.cross(np.eye(3), along[:, None])
+        of_normal = turn.transpose(0, 2, 1) @ rest @ turn
+    return AtEnds(marched(better)[0], covariance, chance, normal, of_normal)
+
+
+def _normals(along: Array, moment: Array, lever: Array) -> Array:
+    """(n, 3) unit vectors n by those of forces F (n, 3) and the moments ``b F × n`` (n, 3) of levers ``b |F|`` (n,)."""
+    if not lever.any():
+        return along
+    beside = np.cross(moment / np.where(lever > 0, lever, np.inf)[:, None], along)
+    return np.asarray(beside + np.sqrt(np.maximum(1 - _dot(beside, beside), 0.0))[:, None] * along)

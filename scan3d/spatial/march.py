@@ -102,7 +102,7 @@ class Ends(NamedTuple):
     point: Array
     """(3, n) place relative to the clamp."""
     moment: Array
-    """(3, n) internal moment about d1, d2 and d3, zero where the rod is touched at its end alone."""
+    """(3, n) moment on the end, zero where the rod is touched there by a force alone."""
     steps: int
     """Steps along the rod."""
 
@@ -118,7 +118,7 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
         state = start[:, rows]
         for at, end in pairwise(grid(rod.profile, steps).tolist()):
             state = _step(rod, state, at, end - at)
-        return np.concatenate([state[_R], state[_M]])
+        return np.concatenate([state[_R], _rotated(state[_Q], state[_M])])
 
     # rods that are touched at their ends may be bent so little that one step is enough
     steps = steps or enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1)
