@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import AT_ONCE, ROUNDING, Array, Index, Mask, ranges, ratio
-from scan3d.geometry.triangles import largest_of_three
+from scan3d.geometry.triangles import face_normals, largest_of_three
 
 # Twice the area of a face as seen along a line, in squares of the size, below which rounding moves the place along the line.
 _STEEP = 1e-6
@@ -125,7 +125,7 @@ def first_touches(mesh: Any, start: Array, along: Array, radius: float) -> tuple
     where there is nothing, and unit vectors (n, 3) from the places that are touched to the centres.
 
     mesh
-        a closed `trimesh.Trimesh`.
+        a closed `trimesh.Trimesh`, outward.
     start, along (n, 3)
         where the centres begin, farther than the radius outside of the body, and unit vectors.
 
@@ -134,10 +134,12 @@ def first_touches(mesh: Any, start: Array, along: Array, radius: float) -> tuple
     """
     distance, normal = np.full(len(start), np.inf), np.full((len(start), 3), np.nan)
     direction, number = np.unique(along, axis=0, return_inverse=True)
-    corners = mesh.triangles.view(np.ndarray)
+    triangles, normals = mesh.triangles.view(np.ndarray), face_normals(mesh)
     for k, common in enumerate(direction):
         rows = np.flatnonzero(number.reshape(-1) == k)
         frame = _frame(start[rows], common)
+        # what is first touched of a body is a face that looks against the motion, or an edge or a corner of one
+        corners = triangles[normals @ common < 0]
         flat, lines = corners @ frame[:2].T, start[rows] @ frame[:2].T
         low, high = flat.min(axis=1) - radius, flat.max(axis=1) + radius
         order = np.argsort(lines[:, 1], kind="stable")
