@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d.bounds import grids
 from scan3d.bounds.reach import reach
+from scan3d.calibration.fit import calibrated
 from scan3d.errors import InputError
 from scan3d.geometry.crossings import first_touches
+from scan3d.laboratory.one_sweep import read_sweep
 from scan3d.pipeline import analyse
 from scan3d.planning.probing import Probings
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
@@ -248,6 +250,17 @@ def test_a_bead_needs_six_axes_and_no_sweeps():
     swept = scan3d.simulate(mesh, scan3d.Plan(slices=1, samples=8, sweeps=2))
     with pytest.raises(InputError, match="contacts of probings only"):
         scan3d.reconstruct(replace(swept, rod=replace(swept.rod, bead_diameter_m=2e-3)))
+
+
+def test_neither_a_single_sweep_nor_a_calibration_is_that_of_a_bead(tmp_path):
+    recording = recording_of(trimesh.creation.icosphere(2, radius=12.0), apart=4 * BEAD)
+    with pytest.raises(InputError, match="calibrate it without"):
+        calibrated(recording, 24.0)
+    (tmp_path / "sweep.csv").write_text("x0_m,f0x_N,f0y_N,m0z_Nm\n0.01,0,0,0\n0,1e-3,1e-3,1e-5\n", encoding="utf-8")
+    table = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\nbead_diameter_m = 4e-3\n"
+    (tmp_path / "sweep.toml").write_text(table, encoding="utf-8")
+    with pytest.raises(InputError, match=r"sweep\.toml: \[rod\] bead_diameter_m"):
+        read_sweep(tmp_path / "sweep.csv")
 
 
 def test_a_rig_does_not_sweep_with_a_bead():

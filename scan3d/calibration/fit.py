@@ -602,6 +602,11 @@ def calibrated(
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
     rod = recording.rod
+    if rod.bead_diameter_m:
+        raise InputError(
+            "a rod is calibrated by touches of itself, not of a bead on its tip; calibrate it without, and state "
+            "bead_diameter_m in the rig's file afterwards"
+        )
     touched = Plane.of(rod) if reference == Plane.kind else Sphere.of(reference, rod)
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
     problem, nominal = measured(recording, touched, tare, sensor)

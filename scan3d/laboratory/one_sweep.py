@@ -227,6 +227,11 @@ def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float, Known
     noise, names = meta.section("noise"), ("force_N", "moment_Nm") if si else ("force", "moment")
     force, moment = (noise.number(name, 0.0, at_least=0) for name in names)
     rod = read_rod(meta.section("rod")) if si and "rod" in meta else None
+    if rod is not None and rod.bead_diameter_m:
+        raise InputError(
+            f"{path.name}: [rod] bead_diameter_m: a sweep in a plane is that of a rod without bead, which touches in probings "
+            "with six axes only; leave it out if the tip has none"
+        )
     known = read_known(meta.section("known")) if "known" in meta else None
     meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
     return rod, force, moment, known

@@ -134,8 +134,8 @@ def reach_of(form: Bells, points: np.ndarray) -> float:
     return least
 
 
-def random_body(seed: int) -> tuple[trimesh.Trimesh, float]:
-    """A connected smooth body, few of which are convex, of diagonal `SIZE`, and its reach."""
+def random_body(seed: int, *, smooth: bool = True) -> tuple[trimesh.Trimesh, float]:
+    """A connected smooth body, few of which are convex, of diagonal `SIZE`, and its reach; or one of few facets."""
     for attempt in range(1000):
         random = np.random.default_rng([seed, attempt])
         form = bells(seed % 4, random)
@@ -147,6 +147,10 @@ def random_body(seed: int) -> tuple[trimesh.Trimesh, float]:
         # neither walls that are thinner than a scan of so many planes can tell, nor bodies that are nearly balls
         if not 0.045 < R / size < 0.15:
             continue
+        if not smooth:
+            coarse.apply_scale(SIZE / size)
+            coarse.units = "mm"
+            return coarse, R * SIZE / size
         # edges of 6 degrees, which count as none
         fine = mesh_of(form, max(0.1 * R, 0.006 * size))
         if fine is None or fine.body_count != 1 or not fine.is_watertight:
@@ -187,7 +191,7 @@ def wrongs(found: Reach, mesh: trimesh.Trimesh, surface: Any, seed: int) -> list
 def any_body(seed: int) -> tuple[str, trimesh.Trimesh]:
     """An everyday body turned at random, or every third time a smooth one, and its name."""
     if seed % 3 == 2:
-        return f"smooth {seed}", random_body(seed)[0]
+        return f"smooth {seed}", random_body(seed, smooth=False)[0]
     name = list(EVERYDAY)[(seed - seed // 3) % len(EVERYDAY)]
     mesh, turn = mesh_of_everyday(name), np.eye(4)
     turn[:3, :3] = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
