@@ -87,6 +87,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             "length_m": recording.rod.length_m,
             "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
             "length": cloud.rod_length,
+            **({"bead_diameter": 2 * cloud.bead_radius} if cloud.bead_radius else {}),
             **_thickness(cloud),
         },
         "counts": _counts(analysis),

@@ -190,6 +190,7 @@ def test_report_and_summary_say_what_a_bead_proves(coarse):
     data = report(analysis, settings={})
     certificate = data["certificate"]
     assert certificate["outer_volume"] == analysis.reach.outer_volume > mesh.volume
+    assert data["rod"]["bead_diameter"] == pytest.approx(2 * BEAD)
     assert certificate["volume_between"] is None
     assert "from outside" in certificate["volume_between_missing"]
     assert certificate["confidence"] == 1

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rings import cassini, recording_of
 
+from scan3d.arrays import evenly
 from scan3d.bounds import grids
 from scan3d.bounds import reach as module
 from scan3d.bounds.reach import reach
@@ -56,6 +57,10 @@ def test_the_body_lies_between_the_two_and_within_the_bound():
         # the oval is where (r² + z² + a²)² - 4 a² z² = b⁴
         excess = (radius**2 + z**2 + 18.0**2) ** 2 - 4 * 18.0**2 * z**2 - 19.08**4
         assert ((excess < 0) == inside).all()
+    true = np.pi * np.sum(cassini(np.linspace(-TOP, TOP, 1000)) ** 2) * 2 * TOP / 1000
+    assert found.inner.volume < true < found.outer_volume
+    assert found.volume_between == pytest.approx(found.outer.volume - found.inner.volume)
+    assert found.widest[0]["volume"] < found.volume_between
     assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
 
 
@@ -71,6 +76,11 @@ def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     certificate = report(analysis, settings={})["certificate"]
     assert 0 < certificate["bound"] == analysis.reach.bound < 7.0
     assert "without features finer than the reach" in certificate["premise"]
+    assert certificate["volume_between"] == analysis.reach.volume_between
+    assert certificate["volume_between_missing"] == ""
+    without = report(replace(analysis, reach=None), settings={})["certificate"]
+    assert without["volume_between"] is None
+    assert "no reach is stated" in without["volume_between_missing"]
 
 
 def test_a_reach_that_the_waist_does_not_have_is_refuted():
@@ -78,6 +88,19 @@ def test_a_reach_that_the_waist_does_not_have_is_refuted():
     assert "contacts lie outside the outer body" in found.refuted
     assert found.bound == np.inf
     assert found.unbounded is None
+
+
+def test_a_single_contact_of_a_sweep_does_not_refute_what_probings_agree_with():
+    """Of a sweep a second contact may have stayed hidden; of a probing none can."""
+    recording, cloud = peanut()
+    tested = evenly(np.arange(len(cloud)), module._TESTED)
+    k = tested[len(tested) // 4]
+    points = cloud.points.copy()
+    points[k, :2] *= 0.7
+    for of_sweep in (True, False):
+        probed = (np.arange(len(cloud)) < len(cloud) // 2) != of_sweep
+        found = reach(recording, replace(cloud, points=points, probed=probed), 5.0)
+        assert (found.refuted is None) == of_sweep
 
 
 def two_balls(noise=0.0):
