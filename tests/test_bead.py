@@ -19,6 +19,7 @@ from scan3d.pipeline import analyse
 from scan3d.planning.probing import Probings
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.reconstruction.probings import passed_in_probings
+from scan3d.recording import SIX_AXES
 from scan3d.report import report, summary
 from scan3d.rods import Rod
 from scan3d.settings import Settings
@@ -246,8 +247,9 @@ def test_a_body_is_only_probed_with_a_bead(settings, match):
 def test_a_bead_needs_six_axes_and_no_sweeps():
     mesh = trimesh.creation.icosphere(2, radius=12.0)
     recording = recording_of(mesh)
+    three = replace(recording, **dict.fromkeys(SIX_AXES))
     with pytest.raises(InputError, match="measure six axes"):
-        scan3d.reconstruct(recording, model="planar")
+        scan3d.reconstruct(three)
     swept = scan3d.simulate(mesh, scan3d.Plan(slices=1, samples=8, sweeps=2))
     with pytest.raises(InputError, match="contacts of probings only"):
         scan3d.reconstruct(replace(swept, rod=replace(swept.rod, bead_diameter_m=2e-3)))
