@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
-from scan3d.geometry.triangles import dot, spanned
+from scan3d.geometry.triangles import dot, opposite_edges, spanned
 from scan3d.surfaces.tetrahedra import Edges, divided
 
 # Cosines of the angles between planes that meet in an edge: at smaller ones a smooth body may be bent, and at larger ones the
@@ -24,6 +24,9 @@ _BENT, _FOLDED = np.cos(np.radians([40.0, 120.0]))
 _OFF = 0.5
 # The share of edges across a crease whose planes are that near, at least, and their number: on smooth bodies few are so.
 _SURE, _LEAST = 0.6, 8
+# Cosine of the angle between neighbouring faces of which one is turned over, and areas that are none, in squares of the
+# distance of contacts.
+_TURNED, _FLAT = np.cos(np.radians(170.0)), 1e-3
 
 
 def creased(vertices: Array, faces: Index) -> tuple[Array, Index]:
@@ -47,13 +50,19 @@ def creased(vertices: Array, faces: Index) -> tuple[Array, Index]:
     part = connected_components(links, directed=False)[1]
     count, sures = np.bincount(part, bent), np.bincount(part, sure)
     split = bent & (sures >= np.maximum(_SURE * count, _LEAST))[part]
+    least = _FLAT * float(np.median(np.linalg.norm(b - a, axis=1))) ** 2
     while True:
         # faces that would be turned over, or have no area, stay as they are
         new = np.concatenate([vertices, place[split]])
         parts = divided(faces, edges, split, len(vertices))
         old, made = parts < len(vertices), parts >= len(vertices)
-        facing = dot(unit_or_zero(spanned(new[parts]))[:, None], normals[np.where(old, parts, 0)])
-        turned = made.any(axis=1) & (old & (facing < NEGLIGIBLE)).any(axis=1)
+        across = spanned(new[parts])
+        out = unit_or_zero(across)
+        beside = opposite_edges(parts)
+        assert beside is not None, "every edge belongs to two faces"
+        turned = (old & (dot(out[:, None], normals[np.where(old, parts, 0)]) < NEGLIGIBLE)).any(axis=1)
+        turned |= (dot(out[:, None], out[beside // 3]) < _TURNED).any(axis=1) | (np.linalg.norm(across, axis=1) < least)
+        turned &= made.any(axis=1)
         if not turned.any():
             return new, parts
         split[np.flatnonzero(split)[parts[turned][made[turned]] - len(vertices)]] = False
