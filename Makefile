@@ -58,6 +58,8 @@ trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd fi
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.rig_bounds
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.hidden_contacts
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.probing
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.reach
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.reach --bead 0.08 --bodies 50
 
 mutants: .venv/dev ## mutation tests: change the code in small ways, print the changes that no test notices
 	.venv/bin/python tests/robustness/mutants.py $(ARGS)
