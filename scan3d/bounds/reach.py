@@ -17,8 +17,6 @@ Every closed surface between the two is as close to the body's surface as they a
 unit vector u.  The one holds no free place q and the other no contact q, which is ``∓ u·(q - p) ≤ |q - p|² / 2R``.  Where no
 unit vector fulfils all of these inequalities, whatever the errors, the premise is refuted.  A contact outside the outer body or
 inside the inner one, and a place outside the one and inside the other, refute it as well.  What is not refuted is a premise.
-Where a body was probed, single contacts of sweeps that alone refute it count as those of rods with a second contact, and are
-left out: of a probing no second one can hide.
 
 Centres and places are those of a grid.  Distances on it are never less than the true ones.  How far a centre lies from the next
 one of the grid, half the diagonal of a cell at most, is allowed for where a centre is excluded, again where a place is within R
@@ -53,9 +51,6 @@ _COARSEST = 4.0
 _SMOOTH = 0.002
 # Contacts at which two balls are sought, evenly over the recording: a hundredth of a second each.
 _TESTED = 400
-# Part of the contacts of sweeps that a body which is probed as well refutes, and not the stated reach: up to twice as many as
-# are wrong because a second one stayed hidden.
-_HIDDEN = 0.002
 # What is taken for granted.
 _NOTHING_FINER = (
     "a body, and surroundings, without features finer than the reach, without cavities and touched in each part"
@@ -189,10 +184,6 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
         "contacts lie inside the inner body": ~grid.within(in_air, contacts, R + half + errors),
         "cells are outside the one and inside the other": (to_body > R + half) & (to_air > R + half),
     }
-    wrong = lost | against["contacts lie outside the outer body"] | against["contacts lie inside the inner body"]
-    by_sweeps = 0 if touched.probed is None or wrong[touched.probed].any() else np.count_nonzero(~touched.probed)
-    if 0 < np.count_nonzero(wrong) <= _HIDDEN * by_sweeps:
-        return reach(recording, touched.select(~wrong), R, surface)
     contradictions = [f"{np.count_nonzero(where)} {what}" for what, where in against.items() if where.any()]
     refuted = unbounded = None
     bound, widest = np.inf, list[dict[str, Any]]()
