@@ -6,10 +6,10 @@ units and in the clamp's frame.  Each row that touches gives a line with the con
 port put `serial.Serial(port, 115200)` of pyserial in the place of the socket, and its `readline()` in that of `recv`.
 
     python examples/live_contacts.py RIG.toml [--port 5005]
-    python examples/live_contacts.py --demo
+    python examples/live_contacts.py
 
-RIG.toml is a calibration by `scan3d calibrate`, or the TOML file of a recording.  The demonstration sends a simulated scan of
-an egg to itself.
+RIG.toml is a calibration by `scan3d calibrate`, or the TOML file of a recording.  Without it the script sends a simulated scan
+of an egg to itself.
 """
 
 import socket
@@ -54,7 +54,7 @@ def main(words: list[str]) -> scan3d.Live:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         receiver.settimeout(60.0)
-        if "--demo" not in words:
+        if words and not words[0].startswith("--"):
             receiver.bind((HOST, port))
             live = scan3d.Live(words[0])
             listen(live, receiver)

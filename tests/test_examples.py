@@ -91,7 +91,7 @@ def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_live_contacts(capsys: pytest.CaptureFixture[str]) -> None:
-    live = example("live_contacts").main(["--demo"])
+    live = example("live_contacts").main([])
     *lines, last = capsys.readouterr().out.splitlines()
     assert last == f"{len(live.cloud)} contacts in {len(live.recording)} rows"
     assert len(lines) >= len(live.cloud) > 100
