@@ -431,17 +431,14 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
 
 
 def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
-    """The most important numbers of a report: a heading, and the name and value of each quantity."""
+    """The most important numbers of a report: what it comes to in a sentence, and the name and value of each quantity."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
     where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
     probings, rows = counts.get("probings", 0), _filled(data)
     sweeps = f"{counts['sweeps'] - probings} sweeps in {where}" if counts["sweeps"] > probings else ""
     sweeps = " and ".join(filter(None, [sweeps, f"{probings} probings" if probings else ""]))
-    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {sweeps}"
     of_hull = f" from the {HULL_OF_MESH}" if rows else ""
-    if probings:
-        rows.append(("contacts", heading))
-        heading = touched(data["coverage"], data["certificate"]["unit"])
+    rows.append(("contacts", f"{counts['contacts']} of {counts['samples']} samples, {sweeps}"))
     if errors:
         rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
@@ -533,12 +530,31 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("certified", nothing + (unproven if count else "") + hint))
     if certified.get("grown"):
         rows.append(("measured", certified["grown"]))
-    return heading, rows
+    return _in_a_sentence(data), rows
+
+
+def _in_a_sentence(data: Mapping[str, Any]) -> str:
+    """What a report comes to: how far the surface can be from the body, or how much of it is known."""
+    certified, coverage = data["certificate"], data["coverage"]
+    if data["warnings"]:
+        return "nothing certified: the recording contradicts the model"
+    if data["counts"].get("probings"):
+        return touched(coverage, certified["unit"])
+    if certified["bound"] is not None and np.isfinite(certified["bound"]):
+        bound = length(certified["bound"], certified["unit"], up=True)
+        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
+        return f"within {bound}{of_scanned(data) or ' of the body'}, certified from touch{confidence}"
+    if "known" in coverage:
+        shares = (
+            f"{share(coverage['known'])} of the surface known, {share(coverage['estimated'])} estimated between slices"
+        )
+        return f"{shares}, {_unknown(coverage, certified['unit'])}"
+    return "nothing certified: the summary says what is missing"
 
 
 def _known_rows(data: Mapping[str, Any]) -> Rows:
     """What of the surface of a body that is not convex is known, and what of the samples; none of a convex one."""
-    counts, coverage = data["counts"], data["coverage"]
+    counts = data["counts"]
     if "second_contacts" not in counts:
         return []
     left_out, hidden = counts["second_contacts"], counts["hidden_second_contacts"]
@@ -548,9 +564,6 @@ def _known_rows(data: Mapping[str, Any]) -> Rows:
     if counts.get("off_surface"):
         off = f"{counts['off_surface']} contacts lie farther from the surface than contacts are apart: they are wrong, or "
         rows.append(("off the surface", off + "on features finer than what was touched; more slices show them"))
-    if "known" in coverage and not counts.get("probings"):
-        shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"
-        rows.append(("surface known", f"{shares}, {_unknown(coverage, data['certificate']['unit'])}"))
     return rows
 
 

@@ -208,7 +208,7 @@ def test_the_report_of_a_body_that_is_not_convex(scanned):
     assert shares["known"] + shares["estimated"] + unknown == pytest.approx(1, abs=1e-6)
     assert set(np.unique(scan3d.open(folder).surface.vertex_attributes["known"])) <= {0, 1, 2}
     rows = dict(result.summary())
-    assert "known" in rows["surface known"]
+    assert "of the surface known" in repr(result)
     assert "of the diagonal" in rows["where touched"]
     assert "not convex" in rows["certified"]
 

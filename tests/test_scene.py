@@ -48,7 +48,7 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
     assert np.array_equal(scene.recording.force_N, log.force_N)
     assert np.array_equal(scene.points, scan3d.reconstruct(log).points)
     assert len(scene.bound) == len(scene.surface.vertices)
-    assert dict(scene.key_figures)["scan"].startswith(f"{len(scene.points)} contacts of ")
+    assert dict(scene.key_figures)["contacts"].startswith(f"{len(scene.points)} of ")
     # a recording alone gives the same, but for the truth
     alone = show.read_scene(folder / "recording.csv", None, False, "mm")
     assert np.array_equal(alone.points, scene.points)
@@ -66,7 +66,7 @@ def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_pa
     assert report["model"] == "spatial"
     cloud = scan3d.reconstruct(read.recording)
     assert read.column("slice") is None
-    assert dict(read.key_figures)["scan"].endswith("sweeps in space")
+    assert dict(read.key_figures)["contacts"].endswith("sweeps in space")
     assert read.column("bending") == pytest.approx(cloud.bending_angle, abs=1e-6)
     tangents = np.stack([read.column(f"t{axis}") for axis in "xyz"], axis=1)
     assert tangents == pytest.approx(cloud.tangents, abs=1e-6)
@@ -337,8 +337,9 @@ def test_the_bending_out_of_the_plane(ellipsoid):
 def test_key_figures_are_those_of_the_report(folder):
     report = json.loads((folder / "report.json").read_text())
     shown = dict(key_figures(report))
-    for name in ("contacts", "slices", "sweeps"):
-        assert f"{report['counts'][name]} {name}" in shown["scan"]
+    assert shown["scan"].startswith("within ")
+    for name, words in {"contacts": "of", "slices": "slices", "sweeps": "sweeps"}.items():
+        assert f"{report['counts'][name]} {words}" in shown["contacts"]
     assert shown["Hausdorff distance"].startswith(f"{report['hausdorff']['two_sided']:.3g} mm (")
     assert shown["size"] == "42.31 × 42.31 × 56 mm"
     # without the truth

@@ -51,8 +51,10 @@ def page(scene: Scene) -> bytes:
     if parts.has_rods(scene):
         data["player"] = player(scene, center)
     # sentences are shown when they are asked for
+    heading = [row for row in scene.key_figures if row[0] == "scan"]
     premises = [row for row in scene.key_figures if row[0] in ("assumed", "tested")]
-    shown = _table([row for row in scene.key_figures if row not in premises])
+    shown = "".join(f"<p class=headline>{html.escape(sentence)}</p>" for _, sentence in heading)
+    shown += _table([row for row in scene.key_figures if row not in (*heading, *premises)])
     if premises:
         shown += f"<details><summary>what this assumes</summary>{_table(premises)}</details>"
     # "</script>" within the data would end the script element that contains them
