@@ -27,7 +27,7 @@ from scan3d.planning.plan import check_choice, check_whole
 from scan3d.reconstruction import reconstruct
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
-from scan3d.recording import FORCE_SIGMAS, Noise, Recording, as_stated, of_checked, reaction_columns
+from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Noise, Recording, as_stated, of_checked, reaction_columns
 from scan3d.units import UNITS_M
 
 State = Literal["unknown", "air", "touching", "ringing"]
@@ -275,7 +275,7 @@ class Live:
         if not self._rows:
             raise InputError("there are no rows yet: push some, the first of which find the zero of the sensor")
         names = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
-        names += ["force_z_N", "moment_x_Nm", "moment_y_Nm"] if self.model == "spatial" else []
+        names += SIX_AXES if self.model == "spatial" else []
         columns: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in self._rows]) for name in names}
         last = self._rows[-1]
         return as_stated(of_checked(last, **columns), last.noise)

@@ -76,7 +76,10 @@ def show(
     unit
         unit of a mesh
     """
-    _check_exists(path)
+    if not path.exists():
+        raise InputError(
+            f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
+        )
     if view and not (screenshot or html or movie):
         screenshot = Path(f"{path.resolve().stem}-{view}.png")
     _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
@@ -146,19 +149,11 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
         raise UsageError(f"--against compares surfaces: give the view {one_of(WITH_OTHER)}, and no --color")
 
 
-def _check_exists(path: Path) -> None:
-    if not path.exists():
-        raise InputError(
-            f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
-        )
-
-
 def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
     from scan3d import results
     from scan3d.files.meshes import load_mesh
 
-    _check_exists(path)
     if path.suffix.lower() in (".csv", ".parquet") and not path.is_dir():
         scene = _recording_scene(path)
     else:
