@@ -153,3 +153,23 @@ def test_what_is_no_row_is_refused():
         _ = scan3d.Live(scanned("planar")).recording
     with pytest.raises(InputError, match="lowpass_hz must be above 0, and needs air_rows"):
         scan3d.Live(scanned("planar"), lowpass_hz=5)
+
+
+def test_a_zero_that_can_not_be_found_is_refused(tmp_path):
+    heavy = replace(
+        scanned("spatial"),
+        rod=scan3d.Rod(0.06, 2e-4, 0.0004, weight_N=1e-3),
+        gravity=scan3d.Gravity((0.0, 0.0, -1.0), tared=False),
+    )
+    with pytest.raises(InputError, match="the zero of a sensor that carries a rod with a weight turns with it"):
+        scan3d.Live(heavy, air_rows=100)
+    live = scan3d.Live(scanned("spatial"), air_rows=30, lowpass_hz=20)
+    rows = [(0.1 * k, [0, 0, 0], [1, 0, 0, 0], np.zeros(6)) for k in range(30)]
+    for row in rows[:-1]:
+        live.push(*row)
+    with pytest.raises(InputError, match="the rows come at 10 Hz, and lowpass_hz must be below half of that, got 20"):
+        live.push(*rows[-1])
+    path = tmp_path / "recording.toml"
+    path.write_text("[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 2e-4\n[known]\nfriction = 0.3\n", encoding="utf-8")
+    with pytest.raises(InputError, match="a channel that was not measured, which needs the whole recording"):
+        scan3d.Live(path)
