@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import glob
-import hashlib
-import html
 import io
 import itertools
 import logging
@@ -21,15 +19,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
-from urllib.parse import quote
 
 from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
 from scan3d.files.text import read_section
-from scan3d.files.whole import BATCH, REPORT, SCHEMA, earlier_files, read_report, replacing, sha256, unchanged
+from scan3d.files.whole import BATCH, SCHEMA, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
-from scan3d.units import length, share
 from scan3d.workers import Workers, undone_if_ended
 
 Row = dict[str, Any]
@@ -42,8 +38,7 @@ COLUMNS = (
     *("coverage", "warnings", "seconds"),
 )
 """The columns of the summary."""
-# Seconds for which a scheduler is looked for, and for which results of other machines are awaited in a shared folder: network
-# file systems show new files after seconds.
+# Seconds for which a scheduler is looked for.
 _PATIENCE_S = 30
 # Scans of one process take turns: a scheduler may give it several threads, for which libraries that read meshes are not made.
 _ONE_AT_A_TIME = threading.Lock()
@@ -54,7 +49,7 @@ class Batch:
     """The summary of a batch."""
 
     folder: Path
-    """With ``summary.csv``, ``index.html``, ``batch.json``, and a folder for each run."""
+    """With ``summary.csv``, ``batch.json``, and a folder for each run."""
     rows: tuple[Row, ...]
     """The rows of the summary, by column, in the order of the runs."""
     computed: int
@@ -160,7 +155,6 @@ def batch(
         rows = tuple(_row(run, failures.get(run.name)) for run in runs)
         ranks = {name: None if row is None else row["run"] for name, row in _ranks(rows)._asdict().items()}
         result.put("summary.csv", _csv(rows))
-        result.put("index.html", _page(folder, rows, ranks))
         failed = sum(row["status"] == FAILED for row in rows)
         counts = {"runs": len(rows), "done": len(rows) - failed, "failed": failed}
         versions = {"scan3d": version("scan3d")}
@@ -222,10 +216,10 @@ def _runs(
     combined: dict[Settings, Mapping[str, Any]] = {}
     for varied, settings in choices:
         combined.setdefault(settings, varied)
-    bodies, hashes = body_names(paths), [_sha256(path) for path in paths]
+    hashes = [_sha256(path) for path in paths]
     pairs = [(k, settings) for k in range(len(paths)) for settings in combined]
     labels = {settings: [f"{name}={_text(value)}" for name, value in of.items()] for settings, of in combined.items()}
-    names = _distinct([_allowed("_".join([bodies[k], *labels[settings]])) for k, settings in pairs])
+    names = _distinct([_allowed("_".join([paths[k].stem, *labels[settings]])) for k, settings in pairs])
     return [
         Run(name, str(paths[k]), str(paths[k].absolute()), hashes[k], settings, str(out.absolute() / name), overwrite)
         for name, (k, settings) in zip(names, pairs, strict=True)
@@ -257,19 +251,7 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
                 if isinstance(error, BrokenExecutor):
                     why = "the operating system may have ended it for lack of memory"
                 outcome = Outcome(f"its worker was lost ({why}); start the batch again to repeat the run")
-            if not outcome.error and not _appears(Path(run.folder) / REPORT):
-                outcome = Outcome(
-                    f"the worker has not written into {run.folder}; workers on other machines need a folder that all "
-                    "of them share"
-                )
             yield run, outcome
-
-
-def _appears(path: Path) -> bool:
-    end = time.monotonic() + _PATIENCE_S
-    while not path.exists() and time.monotonic() < end:
-        time.sleep(0.1)
-    return path.exists()
 
 
 def perform(run: Run) -> Outcome:
@@ -378,30 +360,13 @@ def combinations(data: Mapping[str, Any], source: str = "the grid") -> list[dict
     return [dict(zip(values, choice, strict=True)) for choice in itertools.product(*values.values())]
 
 
-def body_names(paths: Sequence[Path]) -> list[str]:
-    """A name for each mesh file: its stem, with its ending or its folder where that tells it from others of that stem."""
-    names = []
-    for path in paths:
-        alike = [other for other in paths if other.stem.casefold() == path.stem.casefold()]
-        is_elsewhere = any(other.absolute().parent != path.absolute().parent for other in alike)
-        parts = [path.absolute().parent.name, path.stem] if is_elsewhere else [path.stem]
-        if sum(other.parent == path.parent for other in alike) > 1:
-            parts.append(path.suffix[1:])
-        names.append(_allowed("-".join(parts)))
-    return _distinct(names)
-
-
 def _text(value: Any) -> str:
     return ",".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value).replace(":", "-")
 
 
 def _allowed(text: str) -> str:
-    """The text with a hyphen for characters that a file system or a shell may not take.
-
-    What is longer than 100 characters ends with a hash, because Windows allows paths of 260 characters.
-    """
-    name = re.sub(r"[^\w.,=+-]+", "-", text).strip(".-") or "body"
-    return name if len(name) <= 100 else f"{name[:91]}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
+    """The beginning of the text, with a hyphen for characters that a file system or a shell may not take."""
+    return re.sub(r"[^\w.,=+-]+", "-", text)[:100].strip(".-") or "body"
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
@@ -481,53 +446,3 @@ def _cell(value: Any) -> Any:
         except ValueError:
             return f"'{value}"
     return value
-
-
-_PAGE = """\
-<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{name} – scan3d</title>
-<style>
-body {{ font: 15px/1.4 sans-serif; margin: 2em; }}
-main {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }}
-article {{ border: 1px solid #bbb; border-radius: 6px; padding: 0.7em; overflow-wrap: anywhere; }}
-article.failed {{ border-color: #b00; }}
-h2 {{ font-size: 1.1em; margin: 0 0 0.4em; }}
-img {{ width: 100%; }}
-</style></head>
-<body><h1>{name}</h1><p>{counts}</p>
-<main>
-{cards}
-</main></body></html>
-"""
-
-
-def _page(folder: Path, rows: Sequence[Row], ranks: Mapping[str, str | None]) -> bytes:
-    failed = sum(row["status"] == FAILED for row in rows)
-    varied = [field.name for field in dataclasses.fields(Settings) if len({row[field.name] for row in rows}) > 1]
-    marks = {run: mark for mark, run in reversed([*ranks.items()]) if run is not None}
-    return _PAGE.format(
-        name=html.escape(f"Batch {folder.resolve().name}"),
-        counts=f"{len(rows)} runs: {len(rows) - failed} done, {failed} failed",
-        cards="\n".join(_card(folder, row, marks.get(row["run"], ""), varied) for row in rows),
-    ).encode(errors="replace")
-
-
-def _card(folder: Path, row: Row, mark: str, varied: Sequence[str]) -> str:
-    name, place = html.escape(row["run"]), html.escape(quote(row["run"], safe=""))
-    settings = html.escape(", ".join(f"{setting} {row[setting]}" for setting in varied))
-    if row["status"] == FAILED:
-        return f'<article class="failed"><h2>{name}</h2><p>failed: {html.escape(row["error"])}</p>{settings}</article>'
-    of = "" if row["scanned"] in (None, "mesh") else f", {row['scanned']}"
-    figures = [
-        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the "
-        f"diagonal{of})"
-        for what, column, up in (("Hausdorff distance", "hausdorff", False), ("certified within", "certificate", True))
-        if row[column] is not None and row[f"{column}_relative"] is not None
-    ]
-    figures += [f"{row['contacts']} contacts", f"{row['seconds']:.3g} s"]
-    is_drawn = (folder / row["run"] / "surface.png").exists()
-    picture = f'<img src="{place}/surface.png" alt="" loading="lazy">' if is_drawn else "<p>no picture</p>"
-    return (
-        f'<article><h2><a href="{place}/view.html">{name}</a> {mark}</h2>{picture}'
-        f"<p>{'<br>'.join(figures)}</p>{settings}</article>"
-    )

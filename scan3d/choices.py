@@ -47,4 +47,5 @@ TARES: tuple[str, ...] = get_args(Tare)
 
 def one_of(values: Sequence[str]) -> str:
     """The values as a list in a sentence: ``a, b or c``."""
-    return f"{', '.join(values[:-1])} or {values[-1]}"
+    *first, last = values
+    return f"{', '.join(first)} or {last}" if first else last

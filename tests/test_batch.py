@@ -20,7 +20,7 @@ from small_scans import CUBE, EGG, FEW, SETTINGS, undrawn
 
 import scan3d
 from scan3d import batches, workers
-from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files
+from scan3d.batches import COLUMNS, _csv, combinations, mesh_files
 from scan3d.cli import main
 from scan3d.pictures import canvas
 from scan3d.settings import settings
@@ -28,7 +28,7 @@ from tests.robustness.runner import Threads
 
 pytestmark = pytest.mark.all_samples  # the results are those of other processes
 THREE = (EGG, CUBE, MESHES / "gem.glb")
-SUMMARIES = {"summary.csv", "index.html", "batch.json"}
+SUMMARIES = {"summary.csv", "batch.json"}
 
 
 @pytest.fixture(autouse=True)
@@ -124,20 +124,12 @@ def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):
 # --- names ---
 
 
-@pytest.mark.parametrize(
-    ("paths", "names"),
-    [
-        (["x/egg.stl", "x/cube.stl"], ["egg", "cube"]),
-        (["x/egg.stl", "x/egg.ply"], ["egg-stl", "egg-ply"]),
-        (["x/egg.stl", "y/egg.stl"], ["x-egg", "y-egg"]),
-        (["x/egg.stl", "y/Egg.stl", "z/rod.stl"], ["x-egg", "y-Egg", "rod"]),
-        (["a/x/egg.stl", "b/x/egg.stl"], ["x-egg", "x-egg-2"]),
-        (["a/egg.stl", "a/egg.ply", "b/egg.stl"], ["a-egg-stl", "a-egg-ply", "b-egg"]),
-        (["..stl", "a b:c?.stl", "été.stl"], ["body", "a-b-c", "été"]),
-    ],
-)
-def test_names_of_bodies(paths, names):
-    assert body_names([Path(path) for path in paths]) == names
+def test_names_of_runs(tmp_path):
+    paths = [Path(path) for path in ("x/egg.stl", "y/Egg.ply", "..stl", "a b:c.stl", "été.stl", "n" * 120 + ".stl")]
+    runs = batches._runs(paths, [({"friction": "0.0:0.4"}, settings({}))], tmp_path, False)
+    names = ["egg", "Egg", "", "a-b-c", "été", "n" * 100]
+    expected = [f"{name}_friction=0.0-0.4"[:100] for name in names]
+    assert [run.name for run in runs] == [expected[0], f"{expected[1]}-2", *expected[2:]]
 
 
 # --- grids ---
@@ -197,23 +189,6 @@ def test_the_summary_has_a_row_for_each_run(serial):
     assert re.match(r"bad\.stl has no triangles", found[3]["error"])
     assert found[3]["hausdorff_relative"] == ""
     assert repr(done) == f"Batch of 4 runs, 1 failed, in {out}"
-
-
-def test_the_page_has_a_card_for_each_run(serial, tmp_path):
-    out, done = serial
-    page = (out / "index.html").read_text(encoding="utf-8")
-    assert page.count("<article") == 4
-    assert "4 runs: 3 done, 1 failed" in page
-    for name in ("egg", "cube", "gem"):
-        assert f'<a href="{name}/view.html">' in page
-    assert "bad.stl has no triangles" in page
-    assert 'src="' not in page  # nothing was drawn
-    name = "a<b> & c"
-    shutil.copytree(out / "egg", tmp_path / name)
-    (tmp_path / name / "surface.png").touch()
-    shown = batches._page(tmp_path, [{**done.rows[0], "run": name}], {"best": name}).decode()
-    assert 'src="a%3Cb%3E%20%26%20c/surface.png"' in shown
-    assert ">a&lt;b&gt; &amp; c</a> best" in shown
 
 
 def stamps(folder):

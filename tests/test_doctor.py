@@ -14,16 +14,6 @@ from scan3d.pictures import canvas
 _VERSION = doctor._version
 
 
-def installed(name):
-    """The installed versions, with imageio-ffmpeg, which no test needs, as if it were installed."""
-    return "0.6.0" if name == "imageio-ffmpeg" else _VERSION(name)
-
-
-@pytest.fixture(autouse=True)
-def with_ffmpeg(monkeypatch):
-    monkeypatch.setattr(doctor, "_version", installed)
-
-
 @pytest.fixture
 def well(monkeypatch):
     """Nothing is missing, and no child process is run."""
@@ -57,7 +47,7 @@ def test_nothing_missing(well, capsys):
 
 
 def without(monkeypatch, *names):
-    monkeypatch.setattr(doctor, "_version", lambda name: None if name in names else installed(name))
+    monkeypatch.setattr(doctor, "_version", lambda name: None if name in names else _VERSION(name))
 
 
 def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):

@@ -14,7 +14,6 @@ from scan3d.workers import python
 NEEDED = ("numpy", "scipy", "trimesh", "manifold3d", "pyvista", "matplotlib", "pillow", "cyclopts", "rich")
 OPTIONAL = {
     "open3d": "the surfaces poisson and ball-pivoting, and to_open3d",
-    "imageio-ffmpeg": "movies as .mp4",
     "pyarrow": "recordings and tables as Parquet",
     "rosbags": "the import of ROS bags",
     "openpyxl": "tables of Excel",

@@ -55,7 +55,7 @@ def show(
     html
         an interactive page for any browser; it does not need the network
     movie
-        the body as it grows: a .gif, or an .mp4 (needs imageio-ffmpeg)
+        the body as it grows, a .gif
     view
         what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png
     color

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,12 +38,10 @@ _FORWARD = 0.01
 
 
 def check_path(path: str | Path, endings: tuple[str, ...] = PICTURES, what: str = "picture") -> Path:
-    """The path of a picture, or of what else has these endings.  Raises InputError for others, and for .mp4 without ffmpeg."""
+    """The path of a picture, or of what else has these endings.  Raises InputError for others."""
     path = Path(path)
     if path.suffix.lower() not in endings:
         raise InputError(f"a {what} is written as {one_of(endings)}, got {path.name!r}")
-    if path.suffix.lower() == ".mp4":
-        _ffmpeg()
     return path
 
 
@@ -409,11 +406,11 @@ def import_figure(imported: Imported) -> Any:
 # --- movies ---
 
 
-MOVIES = (".gif", ".mp4")
+MOVIES = (".gif",)
 _PER_SECOND = 12
 # The last frame is shown for so many frames, so that the result can be looked at before the movie starts again.
 _HELD = 3 * _PER_SECOND // 2
-# Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
+# Inches and pixels to the inch: 980 by 560 pixels.
 _SIZE, _DPI = (7.0, 4.0), 140
 
 MARK = b"scan3d"
@@ -423,57 +420,24 @@ Image = NDArray[np.uint8]
 
 
 def movie(scene: Scene, path: str | Path, frames: int = 8 * _PER_SECOND) -> None:
-    """Write a movie (.gif or .mp4) of the body as it grows, with so many frames; a GIF of 96 frames has about a megabyte.
+    """Write a movie (.gif) of the body as it grows, with so many frames; one of 96 has about a megabyte.
 
-    Raises InputError for an unknown ending, where the scene has no contacts, where nothing can be rendered, and for an .mp4
-    without imageio-ffmpeg.
+    Raises InputError for another ending, where the scene has no contacts, and where nothing can be rendered.
     """
-    path = check_path(path, MOVIES, "movie")
-    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-    with own_style():
-        write(path, _frames_of_movie(scene.in_shown_unit(), frames))
-
-
-def _write_gif(path: Path, images: Iterator[Image]) -> None:
     from PIL import Image as Pillow
 
-    frames = [Pillow.fromarray(image) for image in images]
+    path = check_path(path, MOVIES, "movie")
+    with own_style():
+        images = [Pillow.fromarray(image) for image in _frames_of_movie(scene.in_shown_unit(), frames)]
     # the last frame has all the colours; 128 show no steps in the shading
-    palette = frames[-1].quantize(128, dither=Pillow.Dither.NONE)
+    palette = images[-1].quantize(128, dither=Pillow.Dither.NONE)
     colors = np.array(palette.getpalette()).reshape(-1, 3)
     colors[(colors >= 245).all(axis=1)] = 255  # paper is not grey
     palette.putpalette(colors.ravel().tolist())
-    first, *rest = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
+    first, *rest = [image.quantize(palette=palette, dither=Pillow.Dither.NONE) for image in images]
     duration_ms = 1000 // _PER_SECOND
     times = [duration_ms] * len(rest) + [duration_ms * _HELD]
     first.save(path, save_all=True, append_images=rest, duration=times, loop=0, optimize=False, comment=MARK)
-
-
-def _write_mp4(path: Path, images: Iterator[Image]) -> None:
-    size = tuple(round(inches * _DPI) for inches in _SIZE)
-    writer = _ffmpeg().write_frames(
-        str(path),
-        size,
-        fps=_PER_SECOND,
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-        output_params=["-metadata", f"comment={MARK.decode()}"],
-    )
-    writer.send(None)
-    for image in images:
-        writer.send(image)
-    for _ in range(_HELD):
-        writer.send(image)
-    writer.close()
-
-
-def _ffmpeg() -> Any:
-    try:
-        return import_module("imageio_ffmpeg")
-    except ImportError:
-        raise InputError(
-            "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
-        ) from None
 
 
 def _frames_of_movie(scene: Scene, frames: int) -> Iterator[Image]:
