@@ -131,12 +131,9 @@ class Unknown:
         cells, _, _ = self._border()
         places = self._origin + self._cell * cells
         height = np.einsum("ni,ni->n", axes[:, 2], start)
-        k = -1
-        for row in range(len(start)):
-            same = k >= 0 and np.abs(axes[row] - axes[k]).max() <= _ALIKE
-            if same and abs(height[row] - height[k]) <= self._cell / 2:
-                continue
-            k = row
+        turned = np.abs(np.diff(axes, axis=0)).max(axis=(1, 2)) > _ALIKE
+        moved = np.abs(np.diff(height)) > self._cell / 2
+        for k in np.flatnonzero(np.append(True, turned | moved)[: len(start)]):
             normal, along = axes[k, 2], axes[k, 1]
             near = np.flatnonzero(np.round(np.abs(places @ normal - height[k]) / self._cell, _DIGITS) <= 0.5)
             self._tried[tuple(cells[self._first(places, near, normal, along)].T)] += 1

@@ -9,6 +9,11 @@ cost are a minimum cut (Labatut, Pons, Keriven 2009).
 A tetrahedron that two rods pass deeper than contacts are apart is free whatever it costs.  One alone may be that of a wrong
 contact, and chords between contacts lie in free space less deep than that.
 
+Where no contact is near, tetrahedra reach from one part of the body far into free space, or to another part.  So places that
+rods have passed there are corners as well, and tetrahedra at them are free.  Only where the near side of a wall was not touched
+a tetrahedron may reach from its far side through it: it has its costs, and a place that becomes one of the surface by it is
+left out in a second cut.
+
 Nothing depends on planes, axes or a grid.
 """
 
@@ -23,7 +28,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from scipy.spatial import Delaunay, cKDTree
 
-from scan3d.arrays import Array, Index, Mask, ratio, unit_or_zero
+from scan3d.arrays import Array, Index, Mask, ranges, ratio, unit_or_zero
 from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
@@ -37,7 +42,8 @@ BETWEEN = 0.03
 """Largest distance from a contact at which a place is estimated, as `TOUCHED` is that at which it is known, in diagonals of the
 contacts' box.  Contacts are places of the body: so neither is farther from it."""
 
-# Contacts are moved by this part of their spacing, so that no two of them are as far apart as a limit and no five on a sphere.
+# Contacts are moved by this part of their spacing, so that no two of them are as far apart as a limit and no five on a sphere,
+# and open places likewise.
 _JOGGLE, _SEED = 1e-4, 0
 # The box leaves this part of the diagonal around the contacts.
 _MARGIN = 0.1
@@ -124,23 +130,32 @@ def cut_surface(
     corners = kept_apart(joggled, merged)
     between = np.empty((0, 2, 3)) if between is None else between
     loose = between[:, 0] + random.uniform(-1, 1, (len(between), 3)) * _JOGGLE * _CLUSTERED * size
-    cells = _Cells.around(np.concatenate([joggled[corners], loose]), _MARGIN * size)
-    cell, depth = cells.crossed(lines)
-    count = len(cells.corners)
-    empty = np.bincount(cell[depth > spacing], minlength=count) > 1
-    empty |= (cells.corners >= len(corners) + len(between)).any(axis=1)
-    if free is not None:
-        inside = cells.at(free)
-        free, inside = free[inside >= 0], inside[inside >= 0]
-        cell, depth = np.append(cell, inside), np.append(depth, cells.depth(inside, free))
-    passed = np.zeros(count) + np.bincount(cell, np.minimum(depth / (_DEEP * merged), 1.0), count)
     touching, into = np.concatenate([joggled, loose]), np.concatenate([inward, between[:, 1]])
     behind = touching + merged * np.multiply.outer(_BEHIND, into)
-    behind = cells.at(behind[:, np.isfinite(into).all(axis=1)].reshape(-1, 3))
-    touched = np.bincount(behind[behind >= 0], minlength=count)
-    faces = _bounded(cells, passed, touched, empty, spacing)
+    behind = behind[:, np.isfinite(into).all(axis=1)].reshape(-1, 3)
+    directions = np.concatenate([inward[corners], between[:, 1]])
+    opened = _opened(joggled, lines, BETWEEN * size)
+    opened += random.uniform(-1, 1, opened.shape) * _JOGGLE * BETWEEN * size
+    for is_last in (False, True):
+        cells = _Cells.around(np.concatenate([joggled[corners], loose, opened]), _MARGIN * size)
+        cell, depth = cells.crossed(lines)
+        empty = np.bincount(cell[depth > spacing], minlength=len(cells.corners)) > 1
+        empty |= cells.at_openings(directions, len(opened), through_walls=is_last)
+        if free is not None:
+            within = cells.at(free)
+            inside = within[within >= 0]
+            cell, depth = np.append(cell, inside), np.append(depth, cells.depth(inside, free[within >= 0]))
+        passed = np.zeros(len(cells.corners))
+        np.add.at(passed, cell, np.minimum(depth / (_DEEP * merged), 1.0))
+        inside = cells.at(behind)
+        touched = np.bincount(inside[inside >= 0], minlength=len(cells.corners))
+        faces = _bounded(cells, passed, touched, empty, spacing)
+        wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
+        if not wrong.any():
+            break
+        opened = opened[~wrong]
     moved = points if moved is None else moved
-    vertices = np.concatenate([moved[corners], between[:, 0]])
+    vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
     vertices, faces = creased(vertices, faces)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
@@ -218,7 +233,9 @@ class _Cells(NamedTuple):
     def crossed(self, lines: Array) -> tuple[Index, Array]:
         """The tetrahedra (s,) that segments (m, 2, 3) cross, one after the other, and how deep (s,) the middle of each crossing
         lies in its tetrahedron."""
-        start, along = self._in_box(lines)
+        low, high = self.points[-8:].min(axis=0), self.points[-8:].max(axis=0)
+        inner = _JOGGLE * (high - low)
+        start, along = _in_box(lines, low + inner, high - inner)
         cell = self.at(start)
         row = np.flatnonzero(cell >= 0)
         cell, before, place = cell[row], np.full(len(row), -1), np.zeros(len(row))
@@ -240,18 +257,53 @@ class _Cells(NamedTuple):
             row, before, cell, place = row[on], cell[on], after[on], leave[on]
         return np.concatenate(found), np.concatenate(depths)
 
-    def _in_box(self, lines: Array) -> tuple[Array, Array]:
-        """Starts and differences (k, 3) of the parts of segments (m, 2, 3) in the box."""
-        low, high = self.points[-8:].min(axis=0), self.points[-8:].max(axis=0)
-        inner = _JOGGLE * (high - low)
-        start, along = lines[:, 0], lines[:, 1] - lines[:, 0]
-        ends = np.sort([ratio(low + inner - start, along), ratio(high - inner - start, along)], axis=0)
-        between = (start > low + inner) & (start < high - inner)
-        ends = np.where(along == 0, np.where(between, [[[-np.inf]], [[np.inf]]], np.nan), ends)
-        enter, leave = ends[0].max(axis=1).clip(min=0), ends[1].min(axis=1).clip(max=1)
-        some = enter < leave
-        start, along, enter, leave = start[some], along[some], enter[some, None], leave[some, None]
-        return start + enter * along, (leave - enter) * along
+    def at_openings(self, directions: Array, count: int, *, through_walls: bool) -> Mask:
+        """(t,) which tetrahedra have a corner of the box, or one of the `count` open places before them.
+
+        directions (n, 3)
+            into the body, at the other corners.  Tetrahedra with such an open place behind one of them are not meant unless
+            `through_walls`.
+        """
+        first = len(directions)
+        is_open, is_box = self.corners >= first, self.corners >= first + count
+        meant: Mask = np.asarray(is_open.any(axis=1))
+        if through_walls:
+            return meant
+        rows = np.flatnonzero(meant & ~is_box.any(axis=1))
+        corners = self.points[self.corners[rows]]
+        along = unit_or_zero(corners[:, None] - corners[:, :, None])
+        into = directions[np.where(is_open[rows], 0, self.corners[rows])]
+        is_behind = (dot(along, into[:, :, None]) > _FROM_BEHIND) & is_open[rows][:, None] & ~is_open[rows][:, :, None]
+        meant[rows[is_behind.any(axis=(1, 2))]] = False
+        return meant
+
+
+def _opened(points: Array, lines: Array, apart: float) -> Array:
+    """(n, 3) places on segments (m, 2, 3), so far apart and from all contacts, near which at least two of them pass."""
+    low, high = points.min(axis=0) - apart, points.max(axis=0) + apart
+    start, along = _in_box(lines, low, high)
+    line, rank = ranges(count := np.ceil(np.linalg.norm(along, axis=1) / apart).astype(np.int64))
+    places = start[line] + ((rank + 0.5) / count[line])[:, None] * along[line]
+    index = np.floor((places - low) / apart).astype(np.int64)
+    cell = np.ravel_multi_index(index.T, np.ceil((high - low) / apart).astype(np.int64) + 1)
+    # of each line once
+    once = np.unique(cell * max(len(start), 1) + line, return_index=True)[1]
+    _, first, passing = np.unique(cell[once], return_index=True, return_counts=True)
+    places = places[once[first[passing > 1]]]
+    places = places[cKDTree(points).query(places, distance_upper_bound=apart)[0] > apart]
+    return places[kept_apart(places, apart)] if len(places) else places
+
+
+def _in_box(lines: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Starts and differences (k, 3) of the parts of segments (m, 2, 3) in a box."""
+    start, along = lines[:, 0], lines[:, 1] - lines[:, 0]
+    ends = np.sort([ratio(low - start, along), ratio(high - start, along)], axis=0)
+    between = (start > low) & (start < high)
+    ends = np.where(along == 0, np.where(between, [[[-np.inf]], [[np.inf]]], np.nan), ends)
+    enter, leave = ends[0].max(axis=1).clip(min=0), ends[1].min(axis=1).clip(max=1)
+    some = enter < leave
+    start, along, enter, leave = start[some], along[some], enter[some, None], leave[some, None]
+    return start + enter * along, (leave - enter) * along
 
 
 def _bounded(cells: _Cells, passed: Array, touched: Index, empty: Mask, spacing: float) -> Index:
