@@ -1,14 +1,21 @@
-"""Equilibria of any rod along the path of a contour, and the states of its sweeps.
+"""Equilibria of any rod along the path of a contour.
 
 At a place of the contour with slope ``α̃`` the rod touches tangentially, ``φ1 = α̃`` with the unknown arc length ``s1``, or
-with its tip, ``s1 = 1`` with the unknown slope ``φ1``; the second unknown is the size of the force, whose direction is
-``α̃ + ζ``.  Marched back from the contact (`planar.rods`), the rod must arrive at its clamp: ``y = 0``,
-``φ = π/2 + c M``.  The state at a base position is the first place of the path whose base position has come down to it.
+with its tip, ``s1 = 1`` with the unknown slope ``φ1``.  One unknown is enough for both, which meet where it vanishes:
+
+    ``u = s1 - 1 < 0`` in tangential contact,  ``u = φ1 - α̃ > 0`` in tip contact.
+
+The second unknown is the size of the force, whose direction is ``α̃ + ζ``.  Marched back from the contact (`planar.rods`), the
+rod must arrive at its clamp: ``y = 0``, ``φ = π/2 + c M``.  With the place on the path as a third unknown, and one more thing
+given, Newton's method finds whatever a sweep asks for: the rod at a place, at touch-down, where the force vanishes, where the
+kind of contact changes, and at a base position.  All rods are marched together, with those that differ from them by a little.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,195 +23,365 @@ import numpy as np
 from planar import segments
 from planar.arrays import Array, Index, Mask
 from planar.contours import Path
-from planar.rods import Rod, excess, grid, overhang, started, step
-from planar.segments import LEVELS
+from planar.rods import Overhang, Rod, excess, grid, overhang, started, step
+from planar.segments import Equilibria, Segments, State, cut_rows, fractions, rates
 
 # Steps along the rod for tables.
 _COARSE = 4
-# Change of a state by twice the steps, in rod lengths and radians, at which they suffice.
+# Error of a state that more steps along the rod may leave, in rod lengths and radians.
 _AGREED = 1e-10
 # Residual, in rod lengths and radians, at which an equilibrium is found.
 _SOLVED = 1e-11
+# Iterations, of which rods near others need five, and thin ones more.
+_ITERATIONS = 12
+# Fractions of a piece: of the place of a fold, around which x0 varies with its square, and of a place where equilibria begin.
+_NEAR, _NARROW = 1e-6, 1e-8
+# Fraction of a piece by which tables may have mistaken where their segments end.
+_ASTRAY = 0.01
+# Change of u from one end of a piece to the other that shows that they are of two branches, and the pieces over which one rod
+# leads to others at a time.
+_APART, _LED = 0.1, 8
+# Rows of what Newton's method varies, of which it may hold one.
+_PLACE, _FORCE, _KIND = range(3)
 
 
-class Course(NamedTuple):
-    """Where contacts (n,) may lie: a path, and for each row its contour and its friction angle."""
+class _Found(NamedTuple):
+    """Rods (n,) that Newton's method led to."""
 
-    path: Path
+    w: Array
+    """(3, n) parameter of the piece, force and u."""
+    state: State
+    """NaN where there is none."""
+    slopes: Array
+    """(n, 4, 3) derivatives of height and angle at the clamp, x0 and moment by w."""
+    first: Array
+    """(n,) largest residual at the start, in rod lengths and radians."""
+
+
+@dataclass(frozen=True)
+class AnyRod(Equilibria):
+    """Equilibria of a rod with a gravity for each contour of the path, or one for all."""
+
+    rod: Rod
+
+    def at_ends(self, path: Path, owner: Index, piece: Index, end: Array, zeta: Array) -> tuple[Mask, State]:
+        slope, x, y = path.at(piece, end)
+        kind = segments.is_tangential(slope, y, zeta)
+        uniform = segments.states(kind, slope, x, y, zeta)
+        alpha = slope + zeta
+        k = np.sqrt(np.sin(alpha / 2) ** 2 + uniform.q**2)
+        tip_slope = alpha + np.pi / 2 - 2 * np.arcsin(np.minimum(k, 1.0))  # (12)
+        force = uniform.force * _softness(self.rod, np.where(kind, np.minimum(uniform.s1, 1.0), 1.0))
+        w = np.stack([end, force, np.where(kind, uniform.s1 - 1, tip_slope - slope)])
+        state = self._newton(path, piece, zeta, w).state
+        every, tried = np.arange(len(owner)), np.zeros(len(owner), dtype=bool)
+        same = np.append(owner[1:] == owner[:-1], False)
+        while True:
+            # from rods before those that are not known, or not of their branch, and from the ones behind
+            known, u = np.isfinite(state.x0), state.q[:, 1]
+            ahead = np.roll(known, -1)
+            stops = known & same & (~ahead | (np.abs(np.roll(u, -1) - u) > _APART)) & ~tried
+            source = np.maximum.accumulate(np.where(np.roll(stops, 1), every - 1, -_LED))
+            led = (every - source <= _LED) & (owner[source] == owner)
+            begins = ~known & same & ahead & ~np.roll(tried, -1) & ~led
+            source = np.where(begins, every + 1, source)
+            rows = np.flatnonzero(led | begins)
+            start = np.stack([end[rows], *state.q[source[rows]].T])
+            found = self._newton(path, piece[rows], zeta[rows], start).state
+            with np.errstate(invalid="ignore"):
+                nearer = np.abs(found.q[:, 1] - start[2]) < np.abs(u[rows] - start[2]) - _SOLVED
+            better = np.isfinite(found.x0) & (~known[rows] | nearer)
+            _put(state, rows[better], _rows(found, better))
+            tried[source[rows]] = True
+            tried[source[rows[better]]] = False
+            if not better.any():
+                return np.signbit(state.q[:, 1]), state
+
+    def cut_within(self, path: Path, parts: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
+        """Cut where the equilibria of a piece begin: at touch-down, where the force vanishes, or in a fold of their place."""
+        unknown = np.isnan(parts.x0)
+        # the kinds of rods that are not known
+        parts = parts._replace(tangential=np.where(unknown[:, 0], tangential_at_end, parts.tangential))
+        tangential_at_end = np.where(unknown[:, 1], parts.tangential, tangential_at_end)
+        rows = np.flatnonzero(unknown[:, 0] & ~unknown[:, 1])
+        part = parts.rows(rows)
+        columns = path, part.piece, part.friction_angle
+        w = np.stack([part.t[:, 1], np.zeros(len(rows)), part.q[:, 1, 1]])
+        w, state = self._refined(*columns, self._newton(*columns, w, held=_FORCE), held=_FORCE)
+        rate = rates(path, part.piece, path.at(part.piece, w[0])[0], state)
+        # a rod that curves towards the body climbs it from touch-down on, and comes back with more force
+        fold = np.isnan(state.x0) | (w[0] < 0) | (w[0] > 1) | (rate > 0)
+        ends = np.tile([np.nan, 1.0], (int(fold.sum()), 1))
+        w[:, fold] = self._root(path, part.rows(fold), ends, lambda found, _: np.ones(len(found.first)))
+        _put(state, fold, self._newton(path, part.piece[fold], part.friction_angle[fold], w[:, fold]).state)
+        rate[fold] = -np.inf
+        parts = cut_rows(parts, rows, w[0], state.x0, np.stack([rate, rate], axis=1), state.q)
+        second = rows + np.arange(len(rows)) + 1
+        parts.x0[second - 1, 1] = np.nan
+        parts.tangential[second - 1] = parts.tangential[second] = np.signbit(w[2])
+        return parts, np.insert(tangential_at_end, rows, parts.tangential[second])
+
+    def transitions(self, path: Path, parts: Segments) -> tuple[Array, State, State]:
+        columns, zero = (path, parts.piece, parts.friction_angle), np.zeros(len(parts.piece))
+        w = np.stack([parts.t.mean(axis=1), parts.q[:, :, 0].mean(axis=1), zero - np.finfo(float).tiny])
+        along = self._newton(*columns, w, held=_KIND)  # on either side
+        by_tip = self._newton(*columns, np.stack([*along.w[:_KIND], zero]), held=_KIND).state
+        w, state = self._refined(*columns, along, held=_KIND)
+        return w[_PLACE], state, by_tip
+
+    def folds(self, path: Path, parts: Segments) -> tuple[Array, State]:
+        def rate(found: _Found, piece: Index) -> Array:
+            return rates(path, piece, path.at(piece, found.w[_PLACE])[0], found.state)
+
+        w = self._root(path, parts, parts.rate, rate)
+        columns = path, parts.piece, parts.friction_angle
+        return w[0], self._refined(*columns, self._newton(*columns, w))[1]
+
+    def _root(self, path: Path, parts: Segments, ends: Array, value: Callable[[_Found, Index], Array]) -> Array:
+        """Rods (3, m) at which a value vanishes that differs in sign at the `ends` (m, 2) of segments, or where it begins to be
+        known: false position, where a value that stays at its end counts half."""
+        (low, high), (below, above) = parts.t.T.copy(), np.clip(ends.T, -1.0, 1.0)  # infinite at touch-down
+        (first, last), sign, rows = parts.q.transpose(1, 2, 0), np.sign(below), np.arange(len(low))
+        best = np.where(np.isnan(below), [high, *last], [low, *first])
+        w, tangent = best.copy(), np.stack([high - low, *np.nan_to_num(last - first)]) / (high - low)
+        side = np.zeros(len(low))
+        for _ in range(48):
+            if not len(rows):
+                break
+            with np.errstate(invalid="ignore"):
+                share = np.clip(np.nan_to_num((below / (below - above))[rows], nan=0.5), 0.01, 0.99)
+                slope = np.nan_to_num(np.abs(above - below)[rows] / (high - low)[rows])
+            t, piece = low[rows] + share * (high - low)[rows], parts.piece[rows]
+            start = w[:, rows] + tangent[:, rows] * (t - w[0, rows])
+            found = self._newton(path, piece, parts.friction_angle[rows], start)
+            known = np.isfinite(found.state.x0)
+            here = np.where(known, value(found, piece), np.nan)
+            with np.errstate(invalid="ignore"):
+                near = known & (np.abs(here) <= _NEAR * slope)
+                stays = np.where(known, here * sign[rows] > 0, np.isnan(below[rows]))
+            good, some, rest = rows[known], rows[stays], rows[~stays]
+            w[:, good] = found.w[:, known]
+            matrix = found.slopes[known, :3]
+            matrix[:, 2] = np.eye(3)[_PLACE]
+            tangent[:, good] = np.linalg.solve(matrix, np.eye(3)[2][:, None])[..., 0].T
+            better = known & (near | stays | np.isnan(below[rows]))
+            best[:, rows[better]] = found.w[:, better]
+            low[some], below[some], high[rest], above[rest] = t[stays], here[stays], t[~stays], here[~stays]
+            above[some] /= np.where(side[some] < 0, 2, 1)
+            below[rest] /= np.where(side[rest] > 0, 2, 1)
+            side[some], side[rest] = -1, 1
+            rows = rows[~near & ((high - low)[rows] > _NARROW)]
+        return best
+
+    def pull(self, path: Path, piece: Index) -> Array:
+        return self.rod.rows(_contour(path, piece)).pull
+
+    def solve(self, path: Path, parts: Segments, target: Array) -> tuple[Index, Array, State]:
+        (t0, t1), (z0, z1) = parts.t.T, parts.q.transpose(1, 2, 0)
+        u, fraction = fractions(parts, target)
+        z = z0 + np.where(np.isinf(parts.rate[:, 0]), u, fraction) * (z1 - z0)
+        w = np.stack([t0 + fraction * (t1 - t0), *np.where(np.isfinite(z), z, z1)])
+        for end in (0, 1):
+            there = np.flatnonzero(target == parts.x0[:, end])
+            w[:, there], target = np.stack([parts.t[there, end], *parts.q[there, end].T]), target.copy()
+            target[there] = np.nan
+        columns = path, parts.piece, parts.friction_angle
+        (t, *_), state = self._refined(*columns, self._newton(*columns, w, target), target)
+        astray = np.flatnonzero((t < t0 - _ASTRAY) | (t > t1 + _ASTRAY))
+        _put(state, astray, _nowhere(len(astray)))
+        return *_on_path(path, parts.piece, t), state
+
+    def _refined(
+        self, path: Path, piece: Index, zeta: Array, found: _Found, target: Array | None = None, *, held: int = _PLACE
+    ) -> tuple[Array, State]:
+        """What was found by few steps along the rod, with as many as it takes."""
+        w, state, slopes, _ = found
+        target = np.full(len(piece), np.nan) if target is None else target
+        going, steps, finer = np.flatnonzero(np.isfinite(state.x0)), _COARSE, 2 * _COARSE
+        while len(going) and finer < 256:
+            columns = path, piece[going], zeta[going], w[:, going], target[going]
+            found = self._newton(*columns, held=held, steps=finer, slopes=slopes[going])
+            w[:, going] = found.w
+            # derivatives by few steps are good enough
+            _put(state, going, found.state._replace(x0_slope=state.x0_slope[going], x0_arc=state.x0_arc[going]))
+            left = found.first * (steps / finer) ** 8  # the order of the march
+            going = going[(left > _AGREED) & np.isfinite(found.state.x0)]
+            more = 1.25 * finer * (left[np.isfinite(left)].max(initial=0.0) / _AGREED) ** (1 / 8)
+            steps, finer = finer, max(int(more), finer + 1)
+        return w, state
+
+    def _newton(
+        self,
+        path: Path,
+        piece: Index,
+        zeta: Array,
+        w: Array,
+        target: Array | None = None,
+        *,
+        held: int = _PLACE,
+        steps: int = _COARSE,
+        slopes: Array | None = None,
+    ) -> _Found:
+        """Equilibria near w (3, n), at base positions `target` or, where they are NaN or None, with one row of w held.
+
+        With the `slopes` of rods found by fewer steps, others are computed only where these don't lead to the solution.
+        """
+        w, n = w.copy(), len(piece)
+        state = _nowhere(n)
+        fresh, first = slopes is None, np.full(n, np.nan)
+        slopes = np.zeros((n, 4, 3)) if slopes is None else slopes
+        target = np.full(n, np.nan) if target is None else target
+        holds, rows = np.isnan(target), np.arange(n)
+        for iteration in range(_ITERATIONS):
+            if not len(rows):
+                break
+            place, z, held_here = _places(path, piece[rows], w[0, rows], zeta[rows]), w[1:, rows], holds[rows]
+            with np.errstate(all="ignore"):
+                fully = fresh or iteration > 2
+                marched = self._marched(place, z, steps, fully)
+                if fully:
+                    slopes[rows] = _by_w(place, marched.slopes)
+                matrix, left = slopes[rows, :3], marched.values[:3].copy()
+                matrix[held_here, 2] = np.arange(3) == held
+                left[2] = np.where(held_here, 0.0, left[2] - target[rows])
+                size = np.abs(left).max(axis=0)
+                first = size if not iteration else first
+                change = np.full_like(left, np.nan)
+                regular = (np.abs(np.linalg.det(matrix)) > 0) & np.isfinite(size)
+                change[:, regular] = np.linalg.solve(matrix[regular], -left.T[regular, :, None])[..., 0].T
+                # the last step leaves its square
+                solved = (np.abs(change).max(axis=0) < np.sqrt(_SOLVED)) | (size < _SOLVED)
+                change[:, size < _SOLVED] = change[held, held_here] = 0.0
+                largest = np.stack([0 * rows + 0.5, np.maximum(np.abs(z[0]), 0.05) / 2, 0 * rows + 0.2])
+                change *= np.minimum(1.0, (largest / np.abs(change)).min(axis=0))
+                w[:, rows] += change
+                marched.values[:] += (slopes[rows] @ change.T[..., None])[..., 0].T
+                _put(state, rows[solved], _rows(_states(place, w[1:, rows], marched), solved))
+                rows = rows[~solved & np.isfinite(size + change.sum(axis=0))]
+        return _Found(w, state, slopes, first)
+
+    @cached_property
+    def _hangs(self) -> Overhang:
+        return overhang(self.rod)
+
+    def _marched(self, at: _Places, z: Array, steps: int, with_derivatives: bool) -> _Marched:
+        """Rods by force and u (2, n), and, in the same march, rods that differ a little."""
+        n, h = z.shape[1], np.full((3, z.shape[1]), 1e-7)
+        if with_derivatives:
+            h[1] = np.copysign(h[1], z[1])  # of the same kind
+            at, z = at.rows(np.tile(np.arange(n), 4)), np.tile(z, 4)
+            for k, column in enumerate((*z, at.slope)):
+                column[(k + 1) * n : (k + 2) * n] += h[k]
+        rod, alpha, (force, u) = self.rod.rows(at.contour), at.slope + at.zeta, z
+        s, phi = 1 + np.minimum(u, 0.0), at.slope + np.maximum(u, 0.0)
+        carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
+        state = started(rod, phi, np.zeros(len(s)), np.stack([at.x, at.y]), carried)
+        state[2] = -excess(self._hangs, s, state)
+        passed: list[tuple[Array, Array]] = [(s[:n], state[:, :n])]
+        for lower in grid(rod.profile, steps)[::-1]:
+            below = np.minimum(s, lower)
+            if (below < s).any():
+                state = step(rod, state, s, below - s)
+                passed.append((below[:n], state[:, :n]))
+            s = below
+        cosine, sine, moment, x, y = state[:5]
+        tilt = np.arctan2(-cosine, sine)  # of the rod at its clamp from the y axis
+        values = np.stack([y, tilt - rod.compliance * moment, x, moment])
+        values, varied = values[:, :n], values[:, n:].reshape(4, -1, n).transpose(1, 0, 2)
+        slopes = (varied - values) / h[: len(varied), None] if with_derivatives else np.full((3, 4, n), np.nan)
+        along, states = (np.concatenate(columns, axis=-1) for columns in zip(*passed, strict=True))
+        bent = (excess(self._hangs, along, states) >= 0).reshape(-1, n)[1:] & (
+            np.diff(along.reshape(-1, n), axis=0) < 0
+        )
+        return _Marched(values, slopes, bent.any(axis=0) & (force[:n] > 0))
+
+
+class _Places(NamedTuple):
+    """Places (n,) of contacts."""
+
     contour: Index
-    friction_angle: Array
+    slope: Array
+    x: Array
+    y: Array
+    zeta: Array
+    """Angle of the force to the normal."""
+    turn: Array
+    """Changes of the slope and of the arc length over the piece of the path."""
+    arc: Array
 
-    def rows(self, rows: Index | Mask) -> Course:
-        return Course(self.path, self.contour[rows], self.friction_angle[rows])
-
-    def at(self, place: Array) -> tuple[Array, Array, Array]:
-        """Slope, x and y of the contour at places (n,): piece of the path plus its parameter."""
-        first, stop = self.path.offsets[self.contour], self.path.offsets[self.contour + 1]
-        piece = np.clip(np.nan_to_num(place).astype(np.intp), first, stop - 1)
-        return self.path.at(piece, place - piece)
-
-
-class Equilibria(NamedTuple):
-    """Rods (n,) in contact; NaN where there is none."""
-
-    place: Array
-    tangential: Mask
-    force: Array
-    other: Array
-    """Arc length s1 of tangential contacts, slope φ1 of the tip otherwise."""
-    x0: Array
-    moment: Array
-    """Internal moment at the clamp."""
-
-    @classmethod
-    def near(cls, place: Array, tangential: Mask, force: Array, other: Array) -> Equilibria:
-        """Where equilibria are looked for."""
-        unknown = np.full((2, len(place)), np.nan)
-        return cls(place, tangential, force, other, unknown[0], unknown[1])
-
-    def rows(self, rows: Index | Mask) -> Equilibria:
-        return Equilibria(*(column[rows] for column in self))  # type: ignore[arg-type]
-
-    def put(self, rows: Index | Mask, states: Equilibria) -> None:
-        for column, values in zip(self, states, strict=True):
-            column[rows] = values
+    def rows(self, rows: Index) -> _Places:
+        return _Places(*(column[rows] for column in self))  # type: ignore[arg-type]
 
 
-class _Clamped(NamedTuple):
-    """Rods (n,) marched back to their clamps."""
+def _places(path: Path, piece: Index, t: Array, zeta: Array) -> _Places:
+    """Places at parameters t (n,) of pieces."""
+    piece, t = _on_path(path, piece, t)
+    slope, x, y = path.at(piece, t)
+    return _Places(_contour(path, piece), slope, x, y, zeta, path.turn[piece], path.arc_rate(piece, slope))
 
-    misfit: Array
-    """(2, n) height of the base and angle to the clamp, which must vanish."""
-    x0: Array
-    moment: Array
+
+def _on_path(path: Path, piece: Index, t: Array) -> tuple[Index, Array]:
+    """The pieces, and parameters in [0, 1] on them, of places behind the ends of others."""
+    contour = _contour(path, piece)
+    beyond = np.where((t < 0) | (t > 1), np.floor(np.nan_to_num(t)), 0).astype(np.intp)
+    moved = np.clip(piece + beyond, path.offsets[contour], path.offsets[contour + 1] - 1)
+    return moved, t - (moved - piece)
+
+
+def _contour(path: Path, piece: Index) -> Index:
+    return np.searchsorted(path.offsets, piece, side="right") - 1
+
+
+class _Marched(NamedTuple):
+    """Rods (n,) marched back from their contacts to their clamps."""
+
+    values: Array
+    """(4, n) height of the base and angle to the clamp, which must vanish, x0 and moment."""
+    slopes: Array
+    """(3, 4, n) their derivatives by force, u and slope; NaN where they are not known."""
     inflected: Mask
     """Where the moment changes its sign between clamp and contact: solutions behind the end of a sweep's branch."""
 
 
-def _back(rod: Rod, course: Course, place: Array, tangential: Mask, force: Array, other: Array, steps: int) -> _Clamped:
-    slope, x, y = course.at(place)
-    alpha = slope + course.friction_angle
-    at, phi = np.where(tangential, other, 1.0), np.where(tangential, slope, other)
-    rod = rod.rows(course.contour)
-    hangs = overhang(rod)
-    carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
-    state = started(rod, phi, np.zeros(len(phi)), np.stack([x, y]), carried)
-    state[2] = -excess(hangs, at, state)
-    inflected = np.zeros(len(at), dtype=bool)
-    for lower in grid(rod.profile, steps)[::-1]:
-        below = np.minimum(at, lower)
-        if (below < at).any():
-            state = step(rod, state, at, below - at)
-            inflected |= (below < at) & (force > 0) & (excess(hangs, below, state) >= 0)
-        at = below
-    cosine, sine, moment, x, y = state[:5]
-    tilt = np.arctan2(-cosine, sine)  # of the rod at its clamp from the y axis
-    return _Clamped(np.stack([y, tilt - rod.compliance * moment]), x, moment, inflected)
+def _by_w(at: _Places, slopes: Array) -> Array:
+    """Derivatives (n, 4, 3) of height, angle, x0 and moment by w."""
+    by_place = slopes[2] * at.turn
+    by_place[0] += at.arc * np.sin(at.slope)
+    by_place[2] += at.arc * np.cos(at.slope)
+    return np.stack([by_place, slopes[0], slopes[1]]).transpose(2, 1, 0)
 
 
-def _newton(residuals: Callable[[Array, Index], Array], start: Array, scale: Array) -> tuple[Array, Mask]:
-    """Roots (k, n) of k functions (k, n) of k unknowns, near `start`; and where they were found.
-
-    `residuals` takes unknowns and the indices of their rows.  Derivatives by differences, corrected by Broyden's rule
-    in between; a step is at most `scale` (k, n).
-    """
-    z, found = start.copy(), np.zeros(start.shape[1], dtype=bool)
-    rows = np.arange(start.shape[1])
-    slopes = np.zeros((len(rows), len(z), len(z)))
-    value = residuals(z, rows)
-    for iteration in range(24):
-        solved = np.abs(value).max(axis=0) < _SOLVED
-        found[rows[solved]] = True
-        going = ~solved & np.isfinite(value).all(axis=0)
-        rows, value, slopes = rows[going], value[:, going], slopes[going]
-        if not len(rows):
-            break
-        here = z[:, rows]
-        if iteration % 3 == 0:
-            for k in range(len(z)):
-                moved = here.copy()
-                moved[k] += 1e-7
-                slopes[:, :, k] = ((residuals(moved, rows) - value) / 1e-7).T
-        with np.errstate(all="ignore"):
-            determinant = np.linalg.det(slopes)
-            slopes[~(np.abs(determinant) > 0)] = np.nan
-            step = np.full_like(here, np.nan)
-            regular = np.isfinite(slopes).all(axis=(1, 2))
-            step[:, regular] = np.linalg.solve(slopes[regular], -value[:, regular].T[..., None])[..., 0].T
-            step *= np.minimum(1.0, (scale[:, rows] / np.abs(step)).min(axis=0))
-            z[:, rows] = here + step
-            value = residuals(z[:, rows], rows)
-            slopes += value.T[:, :, None] * step.T[:, None, :] / (step * step).sum(axis=0)[:, None, None]
-    return z, found
+def _states(at: _Places, z: Array, marched: _Marched) -> State:
+    """The states of rods in equilibrium by force and u (2, n)."""
+    force, u = z
+    (y_f, tilt_f, x_f, _), (y_u, tilt_u, x_u, _), (y_s, tilt_s, x_s, _) = marched.slopes
+    determinant = y_f * tilt_u - y_u * tilt_f
+    f_s, u_s = (y_u * tilt_s - tilt_u * y_s) / determinant, (tilt_f * y_s - y_f * tilt_s) / determinant
+    x_y = (x_u * tilt_f - x_f * tilt_u) / determinant
+    # at touch-down of the tip x0 varies with the square root of the height: an infinite rate
+    straight = (force == 0) & (np.abs(determinant) < 1e-5)
+    x0_slope = np.where(straight, 0.0, x_s + x_f * f_s + x_u * u_s)
+    x0_arc = np.where(straight, np.inf, np.cos(at.slope) + np.sin(at.slope) * x_y)
+    _, _, x0, moment = marched.values
+    state = State(x0.copy(), z.T.copy(), force.copy(), -moment, 1 + np.minimum(u, 0.0), x0_slope, x0_arc)
+    lost = np.flatnonzero((force < 0) | marched.inflected)
+    _put(state, lost, _nowhere(len(lost)))
+    return state
 
 
-def _solve(rod: Rod, course: Course, start: Equilibria) -> Equilibria:
-    """Equilibria at the places of `start`, of its kinds, near its other values."""
-
-    def misfit(z: Array, rows: Index) -> Array:
-        return _back(rod, course.rows(rows), start.place[rows], start.tangential[rows], z[0], z[1], _COARSE).misfit
-
-    z, found = _newton(misfit, np.stack([start.force, start.other]), _scales(start.force))
-    return _known(rod, course, start._replace(force=z[0], other=z[1]), found & (z[0] >= 0), _COARSE)
+def _nowhere(n: int) -> State:
+    """Room for states of which none is known."""
+    x0, force, m0z, s1, x0_slope, x0_arc = np.full((6, n), np.nan)
+    return State(x0, np.full((n, 2), np.nan), force, m0z, s1, x0_slope, x0_arc)
 
 
-def _known(rod: Rod, course: Course, states: Equilibria, found: Mask, steps: int) -> Equilibria:
-    """The states with their base positions and moments, NaN where they were not found."""
-    end = _back(rod, course, *states[:4], steps)
-    found = found & ~end.inflected
-    columns = (np.where(found, column, np.nan) for column in (states.force, states.other, end.x0, end.moment))
-    return Equilibria(states.place, states.tangential, *columns)
+def _rows(states: State, rows: Index | Mask) -> State:
+    return State._make(column[rows] for column in states)
 
 
-def _scales(force: Array) -> Array:
-    """The largest steps (2, n) of force and of the other unknown."""
-    return np.stack([np.maximum(np.abs(force), 0.05) / 2, np.full(len(force), 0.2)])
-
-
-class Table(NamedTuple):
-    """Equilibria of many sweeps along their paths, sorted by owner and place."""
-
-    sweeps: Course
-    """(k,) of the owners."""
-    owner: Index
-    states: Equilibria
-
-    @property
-    def course(self) -> Course:
-        return self.sweeps.rows(self.owner)
-
-    def merged(self, owner: Index, states: Equilibria) -> Table:
-        """With further rows, each behind the rows of its owner at the same place."""
-        owners = np.concatenate([self.owner, owner])
-        joined = Equilibria(*(np.concatenate(pair) for pair in zip(self.states, states, strict=True)))
-        order = np.lexsort((joined.place, owners))
-        return Table(self.sweeps, owners[order], joined.rows(order))
-
-    def following(self) -> Index:
-        """The rows whose next row is of the same owner."""
-        return np.flatnonzero(self.owner[1:] == self.owner[:-1])
-
-
-def table(rod: Rod, sweeps: Course) -> Table:
-    """The equilibria of sweeps (k,)."""
-    path = sweeps.path
-    first, stop = path.offsets[sweeps.contour], path.offsets[sweeps.contour + 1]
-    count = stop - first + 1
-    owner = np.repeat(np.arange(len(count)), count)
-    place = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)).astype(float)
-    course = sweeps.rows(owner)
-    slope, x, y = course.at(place)
-    tangential = segments.is_tangential(slope, y, course.friction_angle)
-    uniform = segments.states(tangential, slope, x, y, course.friction_angle)
-    alpha = slope + course.friction_angle
-    k = np.sqrt(np.sin(alpha / 2) ** 2 + uniform.q**2)
-    tip_slope = alpha + np.pi / 2 - 2 * np.arcsin(np.minimum(k, 1.0))  # (12)
-    force = uniform.root_f**2 * _softness(rod, np.where(tangential, np.minimum(uniform.s1, 1.0), 1.0))
-    start = Equilibria.near(place, tangential, force, np.where(tangential, uniform.s1, tip_slope))
-    result = _from_touch_down(rod, _led_on(rod, Table(sweeps, owner, _of_either_kind(rod, course, start))))
-    for _ in range(24):  # a piece of the path, halved so often, is as short as the accuracy of its ends
-        result = _halved(rod, result)
-    return result
+def _put(states: State, rows: Index | Mask, others: State) -> None:
+    for column, values in zip(states, others, strict=True):
+        column[rows] = values
 
 
 def _softness(rod: Rod, s1: Array) -> Array:
@@ -213,205 +390,3 @@ def _softness(rod: Rod, s1: Array) -> Array:
     part = s[:, None] * s1
     bent = np.trapezoid((s1 - part) ** 2 / rod.profile.bending_stiffness(part), s, axis=0)
     return np.asarray(s1**2 / 3 / bent)
-
-
-def _of_either_kind(rod: Rod, course: Course, start: Equilibria) -> Equilibria:
-    """Equilibria near the start, tangential where the rod is long enough, with the tip otherwise."""
-    found = _solve(rod, course, start)
-    for _ in range(2):
-        slope = course.at(found.place)[0]
-        rows = np.flatnonzero(np.where(found.tangential, found.other > 1, found.other < slope))
-        if not len(rows):
-            break
-        turned, part = found.rows(rows), course.rows(rows)
-        kind = ~turned.tangential
-        turned = turned._replace(tangential=kind, other=_as_kind(part, turned, kind))
-        found.put(rows, _solve(rod, part, turned))
-    else:
-        slope = course.at(found.place)[0]
-        neither = np.where(found.tangential, found.other > 1 + _SOLVED, found.other < slope - _SOLVED)
-        for column in found[2:]:
-            column[neither] = np.nan
-    return found
-
-
-def _led_on(rod: Rod, table: Table) -> Table:
-    """Rows without an equilibrium, tried from their neighbours' ones, as long as that finds any."""
-    states, course = table.states, table.course
-    while True:
-        known = np.isfinite(states.force)
-        rows = table.following()
-        after, before = rows[known[rows] & ~known[rows + 1]], rows[~known[rows] & known[rows + 1]]
-        tried, where = np.unique(np.concatenate([after + 1, before]), return_index=True)
-        source = np.concatenate([after, before + 1])[where]
-        if not len(tried):
-            break
-        slope, other, kind = course.at(states.place)[0], states.other[source], states.tangential[source]
-        other = np.where(kind, other, other + slope[tried] - slope[source])
-        start = Equilibria.near(states.place[tried], kind, states.force[source], other)
-        found = _of_either_kind(rod, course.rows(tried), start)
-        if not np.isfinite(found.force).any():
-            break
-        states.put(tried, found)
-    return table
-
-
-def _from_touch_down(rod: Rod, table: Table) -> Table:
-    """With the place of touch-down of each owner, where the force vanishes."""
-    states = table.states
-    forced = np.flatnonzero(states.force > 0)
-    rows = forced[np.unique(table.owner[forced], return_index=True)[1]]
-    owner, first = table.owner[rows], states.rows(rows)
-    course, zero, found = table.sweeps.rows(owner), np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
-    for tangential in (first.tangential, ~first.tangential):
-
-        def misfit(z: Array, some: Index, kind: Mask = tangential) -> Array:
-            return _back(rod, course.rows(some), z[0], kind[some], zero[some], z[1], _COARSE).misfit
-
-        other = _as_kind(course, first, tangential)
-        z, solved = _newton(misfit, np.stack([first.place, other]), np.full((2, len(rows)), 0.5))
-        solved &= np.where(tangential, z[1] <= 1 + _SOLVED, z[1] >= course.at(z[0])[0] - _SOLVED)
-        solved &= (z[0] <= first.place) & (z[0] >= course.path.offsets[course.contour] - _SOLVED) & ~found
-        at = _known(rod, course, Equilibria.near(z[0], tangential, zero, z[1]), solved, _COARSE)
-        table = table.merged(owner[solved], at.rows(solved))
-        found |= solved
-    return table
-
-
-def _as_kind(course: Course, states: Equilibria, tangential: Mask) -> Array:
-    """The other unknown (n,) of the states, or, where they are of the other kind, where the two kinds meet."""
-    meeting = np.where(tangential, 1.0, course.at(states.place)[0])
-    return np.where(tangential == states.tangential, states.other, meeting)
-
-
-def _halved(rod: Rod, table: Table) -> Table:
-    """With places in the middle of intervals in which a branch begins or ends, changes its kind, leaves touch-down, or on
-    either side of a place at which the base position is least."""
-    states, rows = table.states, table.following()
-    known, x0 = np.isfinite(states.force), np.where(np.isfinite(states.x0), states.x0, np.inf)
-    before, after = known[rows], known[rows + 1]
-    least = np.zeros(len(known) + 1, dtype=bool)
-    least[1:-2] = (x0[1:-1] < x0[:-2]) & (x0[1:-1] < x0[2:])
-    turns = (least[rows] | least[rows + 1]) & before & after
-    touched = (states.force[rows] == 0) | (states.force[rows + 1] == 0)
-    changes = touched | (states.tangential[rows] != states.tangential[rows + 1])
-    chosen = (before != after) | turns | (before & after & changes)
-    chosen &= states.place[rows + 1] - states.place[rows] > _SOLVED
-    rows, between = rows[chosen], (before & after)[chosen]
-    owner, course = table.owner[rows], table.course.rows(rows)
-    first, second = states.rows(rows), states.rows(rows + 1)
-    middle = (first.place + second.place) / 2
-    second = second._replace(other=_as_kind(table.course.rows(rows + 1), second, first.tangential))
-    start = states.rows(np.where(known[rows], rows, rows + 1))
-    start.put(between, _mixed(first, second, np.full(len(rows), 0.5)).rows(between))
-    found = _of_either_kind(rod, course, start._replace(place=middle))
-    # force and slope approach touch-down as the distance, or as its root where a force across a straight rod lowers its tip
-    again = np.flatnonzero(~np.isfinite(found.force) & between)
-    root = _mixed(first.rows(again), second.rows(again), np.full(len(again), np.sqrt(0.5)))
-    found.put(again, _of_either_kind(rod, course.rows(again), root._replace(place=middle[again])))
-    kept = np.isfinite(found.force) | ~between
-    return table.merged(owner[kept], found.rows(kept))
-
-
-def _mixed(first: Equilibria, second: Equilibria, part: Array) -> Equilibria:
-    """Between two equilibria of the kind of the first, at fractions (n,) of the way."""
-    place, force, other, x0, moment = (
-        a + part * (b - a) for a, b in zip((first[0], *first[2:]), (second[0], *second[2:]), strict=True)
-    )
-    return Equilibria(place, first.tangential, force, other, x0, moment)
-
-
-def _located(table: Table, owner: Index, x0: Array) -> tuple[Equilibria, Mask]:
-    """Starts for the states of owners (n,) at base positions (n,), and whether their sweeps touch there.
-
-    The state is between the first row whose base position is not above x0 and the row before it.
-    """
-    reached = np.where(np.isfinite(table.states.x0), table.states.x0, np.inf)
-    bounds = np.searchsorted(table.owner, np.arange(owner.max(initial=-1) + 2))
-    row, touches = np.zeros(len(x0), dtype=np.intp), np.zeros(len(x0), dtype=bool)
-    for k in np.unique(owner):
-        x0_of = reached[bounds[k] : bounds[k + 1]]
-        samples = owner == k
-        at = np.searchsorted(-np.minimum.accumulate(x0_of), -x0[samples])
-        touches[samples] = (at < len(x0_of)) & (x0[samples] <= x0_of[np.isfinite(x0_of)].max(initial=-np.inf))
-        row[samples] = bounds[k] + np.clip(at, 1, len(x0_of) - 1) - 1
-    touches &= np.isfinite(reached[row]) & np.isfinite(reached[row + 1])
-    with np.errstate(all="ignore"):
-        part = (reached[row] - x0) / (reached[row] - reached[row + 1])
-        return _mixed(table.states.rows(row), table.states.rows(row + 1), part), touches
-
-
-class Tables(NamedTuple):
-    """Tables of each contour (c,) at one angle of friction, or at some evenly spaced ones."""
-
-    table: Table
-    lowest: Array
-    spacing: Array
-    levels: Index
-    first: Index
-    """The owner of each contour's lowest angle."""
-
-    @property
-    def spans(self) -> Array:
-        """Base positions (c, 2) at which sweeps with the lowest angles touch and at which they end."""
-        span, x0 = np.full((len(self.table.sweeps.contour), 2), np.nan), self.table.states.x0
-        rows = np.flatnonzero(np.isfinite(x0))[::-1]
-        span[self.table.owner[rows], 0] = x0[rows]
-        np.fmin.at(span[:, 1], self.table.owner, x0)
-        return span[self.first]
-
-
-def tables(rod: Rod, path: Path, lowest: Array, highest: Array) -> Tables:
-    """The tables of contours (c,) of a path between angles of friction."""
-    count = np.where(highest > lowest, LEVELS, 1)
-    owner = np.repeat(np.arange(len(count)), count)
-    first = np.cumsum(count) - count
-    spacing = np.where(highest > lowest, highest - lowest, 1.0) / (LEVELS - 1)
-    angle = lowest[owner] + (np.arange(len(owner)) - first[owner]) * spacing[owner]
-    return Tables(table(rod, Course(path, owner, angle)), lowest, spacing, count, first)
-
-
-def states(rod: Rod, tables: Tables, course: Course, x0: Array) -> Equilibria:
-    """The states (n,) of sweeps along a course at base positions; NaN where the rod does not touch."""
-    contour = course.contour
-    position = (course.friction_angle - tables.lowest[contour]) / tables.spacing[contour]
-    first, count = tables.first[contour], tables.levels[contour]
-    level = np.minimum(position.astype(np.intp), np.maximum(count - 2, 0))
-    low, high = (_located(tables.table, first + k, x0) for k in (level, np.minimum(level + 1, count - 1)))
-    alike = low[1] & high[1] & (low[0].tangential == high[0].tangential)
-    with np.errstate(invalid="ignore"):
-        alike &= np.abs(low[0].place - high[0].place) < 1
-        start = _mixed(low[0], high[0], position - level)
-    result = Equilibria(np.full(len(x0), np.nan), np.zeros(len(x0), dtype=bool), *np.full((4, len(x0)), np.nan))
-    rows = np.flatnonzero(alike)
-    result.put(rows, _solved(rod, course.rows(rows), start.rows(rows), x0[rows]))
-    # samples in different states at the two angles are sought in tables of their own
-    rows = np.flatnonzero((low[1] | high[1]) & ~np.isfinite(result.x0) & (count > 1))
-    # a hundred tables at once, for memory
-    for some in np.array_split(rows, -(-len(rows) // 100)) if len(rows) else []:
-        start, touches = _located(table(rod, course.rows(some)), np.arange(len(some)), x0[some])
-        inside = some[touches]
-        result.put(inside, _solved(rod, course.rows(inside), start.rows(touches), x0[inside]))
-    return result
-
-
-def _solved(rod: Rod, course: Course, start: Equilibria, x0: Array) -> Equilibria:
-    """Equilibria (n,) at base positions, near the start; NaN where none was found."""
-    steps, states = 8, start
-    while True:
-
-        def misfit(z: Array, rows: Index, n: int = steps) -> Array:
-            end = _back(rod, course.rows(rows), z[0], start.tangential[rows], z[1], z[2], n)
-            return np.concatenate([end.misfit, (end.x0 - x0[rows])[None]])
-
-        z = np.stack([states.place, states.force, states.other])
-        z, found = _newton(misfit, z, np.concatenate([np.full((1, len(x0)), 0.5), _scales(states.force)]))
-        states = states._replace(place=z[0], force=z[1], other=z[2])
-        with np.errstate(invalid="ignore"):
-            finer = np.abs(misfit(z[:, found], np.flatnonzero(found), 2 * steps)).max(initial=0.0)
-        if finer < _AGREED or steps >= 128:
-            break
-        steps *= 2
-    slope = course.at(states.place)[0]
-    kept = np.where(states.tangential, states.other <= 1 + _AGREED, states.other >= slope - _AGREED)
-    return _known(rod, course, states, found & (states.force >= 0) & kept, steps)

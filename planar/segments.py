@@ -33,9 +33,11 @@ class State(NamedTuple):
     x0: Array
     """Base position."""
     q: Array
-    """``m0z / (2 √f)``."""
-    root_f: Array
-    """``√f``."""
+    """``m0z / (2 √f)``; of any rod (n, 2) force and arc length, or slope of the tip (`planar.rod_sweeps`)."""
+    force: Array
+    """Size f of the contact force."""
+    m0z: Array
+    """Clamping moment."""
     s1: Array
     """Contact along the rod."""
     x0_slope: Array
@@ -78,7 +80,8 @@ def tangential(slope: Array, x: Array, y: Array, friction_angle: Array) -> State
     lean_slope = np.where(upright, -2 / 3, lean_slope)
     s1 = np.where(upright, y, s1)
     root_f = np.where(q == 0, 0.0, root_f)
-    return State(x - y * lean, q, root_f, s1, -y * lean_slope, np.cos(slope) - lean * np.sin(slope))
+    x0_arc = np.cos(slope) - lean * np.sin(slope)
+    return State(x - y * lean, q, root_f**2, 2 * q * root_f, s1, -y * lean_slope, x0_arc)
 
 
 def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None = None) -> State:
@@ -102,7 +105,7 @@ def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None
         x0_slope = np.where(straight, 0.0, -lean_alpha - height_alpha * x0_height)
         x0_arc = np.cos(slope) + np.where(np.sin(slope) == 0, 0.0, np.sin(slope) * x0_height)
     s1 = np.where(np.isnan(lean), np.nan, 1.0)
-    return State(x - lean, q, root_f, s1, x0_slope, x0_arc)
+    return State(x - lean, q, root_f**2, 2 * q * root_f, s1, x0_slope, x0_arc)
 
 
 def states(
@@ -211,7 +214,65 @@ class Segments(NamedTuple):
     rate: Array
     """(m, 2) change of x0 with t."""
     q: Array
-    """(m, 2) ``m0z / (2 √f)``."""
+    """(m, 2) or (m, 2, 2), that of `State`."""
+
+    def rows(self, rows: Index | slice) -> Segments:
+        return Segments._make(column[rows] for column in self)
+
+
+class Equilibria:
+    """Those of the straight, uniform rod; `planar.rod_sweeps` has others."""
+
+    def at_ends(self, path: Path, owner: Index, piece: Index, end: Array, zeta: Array) -> tuple[Mask, State]:
+        """Kinds and states (n,) at ends, 0 or 1, of pieces, sorted by owner and along the path."""
+        slope, x, y = path.at(piece, end)
+        along_rod = is_tangential(slope, y, zeta)
+        return along_rod, states(along_rod, slope, x, y, zeta)
+
+    def cut_within(self, path: Path, segments: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
+        """The segments cut where the ends of pieces don't tell of it."""
+        return _cut_at_short_tangencies(path, segments, tangential_at_end)
+
+    def transitions(self, path: Path, segments: Segments) -> tuple[Array, State, State]:
+        """Parameters t (m,), and states in tangential and in tip contact, where the kind changes: ``s1 = 1``, ``φ1 = α̃``."""
+
+        def above(t: Array, piece: Index, zeta: Array) -> Array:
+            slope, _, y = path.at(piece, t)
+            return overhang(slope, y, zeta)
+
+        piece, zeta = segments.piece, segments.friction_angle
+        t = _find_root(above, (segments.t[:, 0], segments.t[:, 1]), args=(piece, zeta)).x
+        place = path.at(piece, t)
+        along = tangential(*place, zeta)
+        return t, along, tip(*place, zeta, along.q)
+
+    def folds(self, path: Path, segments: Segments) -> tuple[Array, State]:
+        """Parameters t (m,) and states up to which x0 falls."""
+        piece, zeta, kind = segments.piece, segments.friction_angle, segments.tangential
+        low, high = segments.t.T
+
+        def rate(t: Array, piece: Index, zeta: Array, kind: Mask, low: Array, high: Array) -> Array:
+            place = path.at(piece, t)
+            # infinite at touch-down, NaN beyond the end of the equilibria: only the sign matters there
+            value = np.clip(np.nan_to_num(rates(path, piece, place[0], states(kind, *place, zeta)), nan=1.0), -1.0, 1.0)
+            # the signs at the ends are known, and rounding must not change them
+            return np.where(t == low, -1.0, np.where(t == high, 1.0, value))
+
+        root = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
+        # Equilibria on the side on which x0 rises are unstable: the cut lies on the other side of the minimum.
+        t = np.where(root.f_x > 0, root.bracket[0], root.x)
+        return t, states(kind, *path.at(piece, t), zeta)
+
+    def pull(self, path: Path, piece: Index) -> Array:
+        """The rod's weight as a force, (2, m) or (2, 1)."""
+        return np.zeros((2, 1))
+
+    def solve(self, path: Path, segments: Segments, target: Array) -> tuple[Index, Array, State]:
+        """Pieces, parameters t (m,) and states at which x0 has come down to `target` (m,) on the segments."""
+        return segments.piece, *_solve(path, segments, target)
+
+
+UNIFORM = Equilibria()
 
 
 def _find_root(function: Callable[..., Array], interval: tuple[Array, Array], args: tuple[Any, ...]) -> Any:
@@ -222,50 +283,69 @@ def _find_root(function: Callable[..., Array], interval: tuple[Array, Array], ar
     return elementwise.find_root(function, interval, args=args, tolerances=tolerances)
 
 
-def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segments:
+def cut(path: Path, owner: Index, piece: Index, friction_angle: Array, rod: Equilibria = UNIFORM) -> Segments:
     """Segments of the pieces (rows sorted by owner and along the path, without gaps within an owner)."""
     last = np.append(owner[1:] != owner[:-1], True)
     # Neighbouring pieces share the state between them: nodes are the rows' starts and each owner's last end.
     row = np.repeat(np.arange(len(owner)), 1 + last)
     at_end = np.insert(row[1:] == row[:-1], 0, False)
     start = np.flatnonzero(~at_end)
-    slope, x, y = path.at(piece[row], at_end.astype(float))
-    along_rod = is_tangential(slope, y, friction_angle[row])
-    state = states(along_rod, slope, x, y, friction_angle[row])
+    along_rod, state = rod.at_ends(path, owner[row], piece[row], at_end.astype(float), friction_angle[row])
+    slope = path.at(piece[row], at_end.astype(float))[0]
+    ends = [(slope[n], State._make(column[n] for column in state)) for n in (start, start + 1)]
     segments = Segments(
         owner,
         piece,
         along_rod[start],
         friction_angle,
         np.tile([0.0, 1.0], (len(owner), 1)),
-        np.stack([state.x0[start], state.x0[start + 1]], axis=1),
-        np.stack(
-            [_rate(path, piece, slope[n], state.x0_slope[n], state.x0_arc[n]) for n in (start, start + 1)], axis=1
-        ),
-        np.stack([state.q[start], state.q[start + 1]], axis=1),
+        np.stack([end.x0 for _, end in ends], axis=1),
+        np.stack([rates(path, piece, *end) for end in ends], axis=1),
+        np.stack([end.q for _, end in ends], axis=1),
     )
-    segments, tangential_at_end = _cut_at_short_tangencies(path, segments, along_rod[start + 1])
-    segments = _cut_at_transitions(path, segments, tangential_at_end)
-    return _cut_at_folds(path, segments)
+    segments, tangential_at_end = rod.cut_within(path, segments, along_rod[start + 1])
+    segments = _cut_at_transitions(path, segments, tangential_at_end, rod)
+    return _cut_at_folds(path, segments, rod)
 
 
-def cut_intervals(path: Path, first: Index, stop: Index, friction_angle: Array) -> tuple[Segments, Index]:
+def cut_intervals(
+    path: Path, first: Index, stop: Index, friction_angle: Array, rod: Equilibria = UNIFORM
+) -> tuple[Segments, Index]:
     """Segments of owners that each have the pieces from `first` to `stop`, and where each owner's begin (owners + 1,)."""
     count = stop - first
     owner = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
-    table = cut(path, owner, piece, friction_angle[owner])
+    table = cut(path, owner, piece, friction_angle[owner], rod)
     return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
 
 
-def _rate(path: Path, piece: Index, slope: Array, x0_slope: Array, x0_arc: Array) -> Array:
+class Tables(NamedTuple):
+    """Segments of every sweep at some angles of friction: a single one where its friction is constant."""
+
+    segments: Segments
+    rows: list[list[slice]]
+    """Rows of the segments for each sweep and angle."""
+
+
+def tables(path: Path, runs: list[Index], angles: list[Array], rod: Equilibria = UNIFORM) -> Tables:
+    """Tables of sweeps that each pass some runs of the path, at angles of friction of their own."""
+    run = np.concatenate([np.tile(part, len(at)) for part, at in zip(runs, angles, strict=True)])
+    angle = np.concatenate([np.repeat(at, len(part)) for part, at in zip(runs, angles, strict=True)])
+    table, bounds = cut_intervals(path, path.offsets[run], path.offsets[run + 1], angle, rod)
+    count = np.repeat([len(part) for part in runs], [len(at) for at in angles])
+    ends = bounds[np.cumsum([0, *count])]
+    slices = map(slice, ends[:-1], ends[1:])
+    return Tables(table, [[next(slices) for _ in at] for at in angles])
+
+
+def rates(path: Path, piece: Index, slope: Array, state: State) -> Array:
     """Change of x0 with the parameter of the piece, from its changes with slope and arc length."""
     turn, arc = path.turn[piece], path.arc_rate(piece, slope)
     with np.errstate(invalid="ignore"):
-        return np.where(turn != 0, x0_slope * turn, 0.0) + np.where(arc != 0, x0_arc * arc, 0.0)
+        return np.where(turn != 0, state.x0_slope * turn, 0.0) + np.where(arc != 0, state.x0_arc * arc, 0.0)
 
 
-def _cut_rows(segments: Segments, rows: Index, t: Array, x0: Array, rate: Array, q: Array) -> Segments:
+def cut_rows(segments: Segments, rows: Index, t: Array, x0: Array, rate: Array, q: Array) -> Segments:
     """Cut the `rows` at t, where the state has x0, q and the rate (r, 2) before and after the cut."""
     repeat = np.ones(len(segments.owner), dtype=np.intp)
     repeat[rows] = 2
@@ -300,73 +380,50 @@ def _cut_at_short_tangencies(path: Path, segments: Segments, tangential_at_end: 
     rows, t, piece, zeta = rows[touches], t[touches], piece[touches], zeta[touches]
     slope, x, y = path.at(piece, t)
     state = tangential(slope, x, y, zeta)
-    rate = _rate(path, piece, slope, state.x0_slope, state.x0_arc)
-    parts = _cut_rows(segments, rows, t, state.x0, np.stack([rate, rate], axis=1), state.q)
+    rate = rates(path, piece, slope, state)
+    parts = cut_rows(segments, rows, t, state.x0, np.stack([rate, rate], axis=1), state.q)
     parts.tangential[rows + np.arange(len(rows)) + 1] = True
     return parts, np.insert(tangential_at_end, rows, True)
 
 
-def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask) -> Segments:
-    """Cut where tip and tangential contact change into each other: ``s1 = 1`` with ``φ1 = α̃``."""
+def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask, rod: Equilibria) -> Segments:
+    """Cut where tip and tangential contact change into each other."""
     rows = np.flatnonzero(segments.tangential != tangential_at_end)
     if not len(rows):
         return segments
-    piece, zeta = segments.piece[rows], segments.friction_angle[rows]
-
-    def above(t: Array, piece: Index, zeta: Array) -> Array:
-        slope, _, y = path.at(piece, t)
-        return overhang(slope, y, zeta)
-
-    low, high = segments.t[rows].T
-    t = _find_root(above, (low, high), args=(piece, zeta)).x
-    slope, x, y = path.at(piece, t)
-    along = tangential(slope, x, y, zeta)
-    states = along, tip(slope, x, y, zeta, along.q)
-    rate = np.stack([_rate(path, piece, slope, state.x0_slope, state.x0_arc) for state in states], axis=1)
-    tangential_first = segments.tangential[rows]
-    rate[~tangential_first] = rate[~tangential_first, ::-1]
-    parts = _cut_rows(segments, rows, t, along.x0, rate, along.q)
-    parts.tangential[rows + np.arange(len(rows)) + 1] = ~tangential_first
+    part = segments.rows(rows)
+    t, along, by_tip = rod.transitions(path, part)
+    slope = path.at(part.piece, t)[0]
+    rate = np.stack([rates(path, part.piece, slope, state) for state in (along, by_tip)], axis=1)
+    rate[~part.tangential] = rate[~part.tangential, ::-1]
+    parts = cut_rows(segments, rows, t, along.x0, rate, along.q)
+    parts.tangential[rows + np.arange(len(rows)) + 1] = ~part.tangential
     return parts
 
 
-def _cut_at_folds(path: Path, segments: Segments) -> Segments:
+def _cut_at_folds(path: Path, segments: Segments, rod: Equilibria) -> Segments:
     """Cut where x0 stops falling: at its minimum, which precedes any place where the equilibria end."""
     ends_rising = (segments.rate[:, 1] > 0) | np.isnan(segments.x0[:, 1])
     rows = np.flatnonzero((segments.rate[:, 0] < 0) & ends_rising)
     if not len(rows):
         return segments
-    piece, zeta, kind = segments.piece[rows], segments.friction_angle[rows], segments.tangential[rows]
-    low, high = segments.t[rows].T
-
-    def rate(t: Array, piece: Index, zeta: Array, kind: Mask, low: Array, high: Array) -> Array:
-        slope, x, y = path.at(piece, t)
-        state = states(kind, slope, x, y, zeta)
-        # infinite at touch-down, NaN beyond the end of the equilibria: only the sign matters there
-        value = np.clip(np.nan_to_num(_rate(path, piece, slope, state.x0_slope, state.x0_arc), nan=1.0), -1.0, 1.0)
-        # the signs at the ends are known, and rounding must not change them
-        return np.where(t == low, -1.0, np.where(t == high, 1.0, value))
-
-    root = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
-    # Equilibria on the side on which x0 rises are unstable: the cut lies on the other side of the minimum.
-    t = np.where(root.f_x > 0, root.bracket[0], root.x)
-    state = states(kind, *path.at(piece, t), zeta)
-    return _cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
+    t, state = rod.folds(path, segments.rows(rows))
+    return cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
 
 
-def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Array, State]:
-    """Parameter t (n,) and state (n,) at which x0 has come down to `target` (n,) on the segments `row` (n,).
+def _solve(path: Path, segments: Segments, target: Array) -> tuple[Array, State]:
+    """Parameters and states of `Equilibria.solve`.
 
     Newton's method in the place t, for tip contact together with the bend q, starting from an interpolation; samples
     for which it does not converge are solved by bracketing.
     """
-    piece, zeta, kind = segments.piece[row], segments.friction_angle[row], segments.tangential[row]
-    low, high = segments.t[row].T
-    t, q = _interpolate(segments, row, target)
+    piece, zeta, kind = segments.piece, segments.friction_angle, segments.tangential
+    low, high = segments.t.T
+    t, q = _interpolate(segments, target)
     # rounding of x0, by the lengths that it is computed from
     tolerance = 8 * _EPS * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
 
-    active = np.arange(len(row))
+    active = np.arange(len(target))
     for _ in range(8):  # a sample that needs more goes on to bracketing
         slope, x, y = path.at(piece[active], t[active])
         t_step, q_step, residual = _newton_step(
@@ -386,9 +443,9 @@ def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Ar
         q[active] = np.nan
 
     for end in (0, 1):
-        at_end = target == segments.x0[row, end]
-        t = np.where(at_end, segments.t[row, end], t)
-        q = np.where(at_end, segments.q[row, end], q)
+        at_end = target == segments.x0[:, end]
+        t = np.where(at_end, segments.t[:, end], t)
+        q = np.where(at_end, segments.q[:, end], q)
     return t, states(kind, *path.at(piece, t), zeta, q)
 
 
@@ -420,19 +477,25 @@ def _newton_step(
     return t_step, q_step, residual
 
 
-def _interpolate(segments: Segments, row: Index, target: Array) -> tuple[Array, Array]:
-    """Start values: t by a monotone inverse cubic in x0 and q² linear in t; next to folds and touch-down the leading terms."""
-    (t0, t1), (x0, x1) = segments.t[row].T, segments.x0[row].T
+def fractions(segments: Segments, target: Array) -> tuple[Array, Array]:
+    """Fractions (m,) of the segments' x0, and by a monotone inverse cubic of their t, at which x0 comes down to `target`;
+    next to folds and touch-down by the leading terms."""
+    (t0, t1), (x0, x1) = segments.t.T, segments.x0.T
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.clip((target - x0) / (x1 - x0), 0.0, 1.0)
-        slopes = np.clip((x1 - x0) / (t1 - t0) / segments.rate[row].T, 0.0, 3.0)  # up to 3 the cubic is monotone
+        slopes = np.clip((x1 - x0) / (t1 - t0) / segments.rate.T, 0.0, 3.0)  # up to 3 the cubic is monotone
     u, slopes = np.nan_to_num(u), np.nan_to_num(slopes, nan=1.0)
     fraction = u * u * (3 - 2 * u) + u * (1 - u) * (slopes[0] * (1 - u) - slopes[1] * u)
-    q0, q1 = segments.q[row].T
-    # next to touch-down x0 varies with the square root of t and with q², next to a fold with the square of t
-    touch_down, fold = np.isinf(segments.rate[row, 0]), segments.rate[row, 1] == 0
-    fraction = np.where(touch_down, u * u, np.where(fold, 1 - np.sqrt(1 - u), fraction))
-    q = np.sqrt(np.maximum(q0**2 + np.where(touch_down, u, fraction) * (q1**2 - q0**2), 0.0))
+    # next to touch-down x0 varies with the square root of t, next to a fold with the square of t
+    touch_down, fold = np.isinf(segments.rate[:, 0]), segments.rate[:, 1] == 0
+    return u, np.where(touch_down, u * u, np.where(fold, 1 - np.sqrt(1 - u), fraction))
+
+
+def _interpolate(segments: Segments, target: Array) -> tuple[Array, Array]:
+    """Start values: t, and q² linear in it, or next to touch-down in x0."""
+    (t0, t1), (q0, q1) = segments.t.T, segments.q.T
+    u, fraction = fractions(segments, target)
+    q = np.sqrt(np.maximum(q0**2 + np.where(np.isinf(segments.rate[:, 0]), u, fraction) * (q1**2 - q0**2), 0.0))
     return t0 + fraction * (t1 - t0), np.where(np.isfinite(q), q, q0)
 
 

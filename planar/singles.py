@@ -57,8 +57,8 @@ class _Places(NamedTuple):
     t: Array
     slope: Array
     tangential: Mask
-    q: Array
-    root_f: Array
+    force: Array
+    m0z: Array
     s1: Array
 
 
@@ -90,26 +90,18 @@ class Singles:
 
     def _tabulate(self) -> None:
         """Segments of all runs at the coefficients between which the samples of each sweep lie, rows by sweep and level."""
-        offsets, begins = self.runs.path.offsets, np.searchsorted(self.runs.body, np.arange(len(self.bases) + 1))
+        begins = np.searchsorted(self.runs.body, np.arange(len(self.bases) + 1))
         self.levels = [
             segments.levels(angle) if known else np.zeros(1)
             for angle, known in zip(self.angles, self.known, strict=True)
         ]
         parts = [np.arange(a, b) for a, b in zip(begins[:-1], begins[1:], strict=True)]
-        run = np.concatenate([np.tile(part, len(at)) for part, at in zip(parts, self.levels, strict=True)])
-        angle = np.concatenate([np.repeat(at, len(part)) for part, at in zip(parts, self.levels, strict=True)])
-        self.table, bounds = self._cut(offsets[run], offsets[run + 1], angle)
-        count = np.repeat([len(part) for part in parts], [len(at) for at in self.levels])
-        ends = bounds[np.cumsum([0, *count])]
-        slices = map(slice, ends[:-1], ends[1:])
-        self.rows = [[next(slices) for _ in at] for at in self.levels]
+        self.table, self.rows = segments.tables(self.runs.path, parts, self.levels)
+        self._leave_out_hollows(self.table)
 
-    def _cut(self, first: Index, stop: Index, angle: Array) -> tuple[segments.Segments, Index]:
-        """Segments of intervals of the path, each within one run, and where those of each begin."""
-        table, bounds = segments.cut_intervals(self.runs.path, first, stop, angle)
-        # along a concave stretch no rod lies
+    def _leave_out_hollows(self, table: segments.Segments) -> None:
+        """Along a concave stretch no rod lies."""
         table.x0[table.tangential & (self.runs.hollow[table.piece] == 2)] = np.nan
-        return table, bounds
 
     def place(self, piece: int, u: float) -> int:
         """The path's piece at a place of the outline, -1 where it is none."""
@@ -234,8 +226,8 @@ class Singles:
         on = found.piece >= 0
         piece = found.piece[on]
         rods.count[on] = 1
-        rods.kappa[on] = -2 * found.q[on] * found.root_f[on]
-        rods.force[on, 0], rods.s[on, 0] = found.root_f[on] ** 2, np.where(found.tangential[on], found.s1[on], 1.0)
+        rods.kappa[on] = -found.m0z[on]
+        rods.force[on, 0], rods.s[on, 0] = found.force[on], np.where(found.tangential[on], found.s1[on], 1.0)
         rods.piece[on, 0] = self.runs.piece[piece]
         rods.u[on, 0] = np.clip(self.runs.u[piece] + found.t[on] * self.runs.u_move[piece], 0, 1)
         rods.zeta[on, 0], rods.tip[on, 0] = angle[on], ~found.tangential[on]
@@ -299,7 +291,8 @@ class Singles:
         for start in range(0, len(sample), BLOCK):
             part = slice(start, start + BLOCK)
             here = sample[part]
-            table, bounds = self._cut(first[part], stop[part], angle[here])
+            table, bounds = segments.cut_intervals(self.runs.path, first[part], stop[part], angle[here])
+            self._leave_out_hollows(table)
             target = base[here][table.owner]
             crossing = (table.x0[:, 0] >= target) & (table.x0[:, 1] <= target)
             rows = np.minimum.reduceat(np.where(crossing, np.arange(len(target)), len(target)), bounds[:-1])
@@ -311,13 +304,13 @@ class Singles:
     def _solve(self, found: _Places, table: segments.Segments, samples: Index, rows: Index, base: Array) -> None:
         for start in range(0, len(samples), BLOCK):
             part, row = samples[start : start + BLOCK], rows[start : start + BLOCK]
-            t, state = segments.solve(self.runs.path, table, row, base[part])
-            slope, _, _ = self.runs.path.at(table.piece[row], t)
-            good = np.isfinite(state.root_f + state.q + state.s1)
+            piece, t, state = segments.UNIFORM.solve(self.runs.path, table.rows(row), base[part])
+            slope, _, _ = self.runs.path.at(piece, t)
+            good = np.isfinite(state.force + state.m0z + state.s1)
             # at touch-down the rod is still straight
-            found.piece[part] = np.where(good, np.where(state.q > 0, table.piece[row], -1), -2)
+            found.piece[part] = np.where(good, np.where(state.m0z > 0, piece, -1), -2)
             found.t[part], found.slope[part], found.tangential[part] = t, slope, table.tangential[row]
-            found.q[part], found.root_f[part] = np.nan_to_num(state.q), np.nan_to_num(state.root_f)
+            found.force[part], found.m0z[part] = np.nan_to_num(state.force), np.nan_to_num(state.m0z)
             found.s1[part] = np.minimum(np.nan_to_num(state.s1, nan=1.0), 1.0)
 
 

@@ -13,18 +13,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planar import plots, rod_sweeps, segments
+from planar import plots, segments
 from planar.any_body import SweepStatus, follow, last_contacts
 from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, counted, to_frame, words
+from planar.rod_sweeps import AnyRod
 from planar.rods import Rod
-from planar.segments import Segments, cut_intervals
+from planar.segments import UNIFORM, Equilibria, Segments, Tables, cut_intervals
 from planar.several import Rods, reactions
 
 if TYPE_CHECKING:
@@ -242,11 +243,8 @@ def sweep_all(
     groups += [([i], contours[i].path()) for i in convex if i not in polygons]
     for members, path in groups:
         columns = [frictions[i] for i in members], [bases[i] for i in members]
-        if rod is None or rod.is_straight_and_uniform:
-            swept = _sweep_path(path, *columns, spread)
-        else:
-            swept = _sweep_rod(path, *columns, spread, rod.rows(np.array(members)))
-        sweeps.update(zip(members, swept, strict=True))
+        of = UNIFORM if rod is None or rod.is_straight_and_uniform else AnyRod(rod.rows(np.array(members)))
+        sweeps.update(zip(members, _sweep_path(path, *columns, spread, of), strict=True))
     return [sweeps[i] for i in range(len(contours))]
 
 
@@ -281,29 +279,13 @@ def _shortened(values: Array) -> str:
     return np.array2string(values, threshold=6, precision=6)
 
 
-class _Tables(NamedTuple):
-    """Segments of every sweep of a path at some coefficients of friction: a single one where its friction is constant."""
-
-    segments: Segments
-    levels: list[Array]
-    """the coefficients of each sweep, rising"""
-    rows: list[list[slice]]
-    """rows of `segments` for each sweep and coefficient"""
-
-
-def _tables(path: Path, frictions: list[Array]) -> _Tables:
-    """Tables at the coefficients between which the samples of each sweep lie."""
+def _sweep_path(
+    path: Path, frictions: list[Array], bases: list[Array | None], spread: Array, rod: Equilibria
+) -> list[Sweep]:
+    # at the coefficients between which the samples of each sweep lie
     levels = [segments.levels(mu) for mu in frictions]
-    sweep_of_level = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
-    first, stop = path.offsets[sweep_of_level], path.offsets[sweep_of_level + 1]
-    table, bounds = cut_intervals(path, first, stop, np.arctan(np.concatenate(levels)))
-    slices = [slice(start, end) for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
-    rows = [[slices[k] for k in np.flatnonzero(sweep_of_level == i)] for i in range(len(levels))]
-    return _Tables(table, levels, rows)
-
-
-def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array) -> list[Sweep]:
-    tables = _tables(path, frictions)
+    runs = [np.array([i]) for i in range(len(levels))]
+    tables = segments.tables(path, runs, [np.arctan(level) for level in levels], rod)
     table = tables.segments
     x0 = [
         _spread(table, rows[0], spread) if base is None else base for rows, base in zip(tables.rows, bases, strict=True)
@@ -318,20 +300,20 @@ def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], s
         np.stack([_first_row(table, part, base) for part in rows]) for rows, base in zip(tables.rows, x0, strict=True)
     ]
     touched = np.concatenate([rows[0] >= 0 for rows in first_rows])
-    constant = np.array([len(level) == 1 for level in tables.levels], dtype=bool)[sweep_of]
+    constant = np.array([len(level) == 1 for level in levels], dtype=bool)[sweep_of]
     row = np.concatenate([rows[0] for rows in first_rows])
     stop = np.array([rows[0].stop for rows in tables.rows])[sweep_of]
     for block in _blocks(np.flatnonzero(touched & constant & (row < stop))):
-        _solve(path, table, row[block], block, swept)
+        _solve(path, table, row[block], block, swept, rod)
 
     if not constant.all():
         # Friction per sample: each sample searches the interval of the path between its places at the neighbouring
         # coefficients, and where it is not there, the whole path.
-        intervals = _search_intervals(path, tables, first_rows, sweep_of, friction)
+        intervals = _search_intervals(path, tables, levels, first_rows, sweep_of, friction)
         whole_paths = np.stack([path.offsets[sweep_of], path.offsets[sweep_of + 1]])
         pending = np.flatnonzero(touched & ~constant)
         for interval in (intervals, whole_paths):
-            missed = [_search_each(path, block, interval[:, block], swept) for block in _blocks(pending)]
+            missed = [_search_each(path, block, interval[:, block], swept, rod) for block in _blocks(pending)]
             pending = np.concatenate([*missed, np.empty(0, dtype=np.intp)])
 
     return _parted(swept, x0)
@@ -356,37 +338,6 @@ def _parted(swept: Sweep, x0: list[Array]) -> list[Sweep]:
         has_touched = np.maximum.accumulate(touching)
         _clear(finished, has_touched & ~np.logical_and.accumulate(touching | ~has_touched))
     return sweeps
-
-
-def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array, rod: Rod) -> list[Sweep]:
-    """`_sweep_path` for any rod."""
-    lowest, highest = (
-        np.array([np.arctan(end(mu)) if mu.size else 0.0 for mu in frictions]) for end in (np.min, np.max)
-    )
-    tables = rod_sweeps.tables(rod, path, lowest, highest)
-    if any(base is None for base in bases) and np.isnan(tables.spans).any():
-        raise ValueError("the object is out of the rod's reach: nowhere on it is the rod in equilibrium")
-    x0 = [
-        np.where(spread == 1, end, start + spread * (end - start)) if base is None else base
-        for base, (start, end) in zip(bases, tables.spans, strict=True)
-    ]
-    _check_sizes(frictions, x0)
-    contour = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
-    friction = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
-    base = np.concatenate(x0)
-    angle = np.arctan(friction)
-    course = rod_sweeps.Course(path, contour, angle)
-    states = rod_sweeps.states(rod, tables, course, base)
-    swept, touching = _empty(base, friction), np.isfinite(states.x0)
-    slope, x, y = course.at(states.place)
-    weight = rod.rows(contour).pull
-    swept.f0x[:], swept.f0y[:] = -states.force * np.sin(slope + angle), states.force * np.cos(slope + angle)
-    swept.f0x[:], swept.f0y[:], swept.m0z[:] = swept.f0x - weight[0], swept.f0y - weight[1], -states.moment
-    swept.s1[:] = np.where(states.tangential, np.minimum(states.other, 1.0), 1.0)
-    swept.slope[:], swept.point[:] = slope, np.stack([x, y], axis=1)
-    swept.phase[:] = np.where(states.tangential, Phase.TANGENTIAL, Phase.TIP)
-    _clear(swept, ~touching)
-    return _parted(swept, x0)
 
 
 def _sweep_any(
@@ -436,24 +387,26 @@ def _of_rods(outlines: Outlines, rods: Rods, status: NDArray[np.int8], friction:
     )
 
 
-def _search_intervals(path: Path, tables: _Tables, first_rows: list[Index], sweep_of: Index, friction: Array) -> Index:
+def _search_intervals(
+    path: Path, tables: Tables, levels: list[Array], first_rows: list[Index], sweep_of: Index, friction: Array
+) -> Index:
     """First piece and stop (2, n) of the path between a sample's places at the neighbouring coefficients of its table."""
     interval = np.zeros((2, len(friction)), dtype=np.intp)
-    for i, levels in enumerate(tables.levels):
-        if len(levels) == 1:
+    for i, level in enumerate(levels):
+        if len(level) == 1:
             continue
         pieces = np.stack(
             [
                 np.where(
                     row < part.stop,
-                    tables.segments.piece[np.clip(row, 0, part.stop - 1)],
+                    tables.segments.piece[np.clip(row, part.start, part.stop - 1)],
                     path.offsets[i + 1] - 1,
                 )
                 for row, part in zip(first_rows[i], tables.rows[i], strict=True)
             ]
         )
         samples = sweep_of == i
-        above = np.clip(np.searchsorted(levels, friction[samples]), 1, len(levels) - 1)
+        above = np.clip(np.searchsorted(level, friction[samples]), 1, len(level) - 1)
         neighbours = np.take_along_axis(pieces, np.stack([above - 1, above]), axis=0)
         interval[0, samples] = np.maximum(neighbours.min(axis=0) - 1, path.offsets[i])
         interval[1, samples] = np.minimum(neighbours.max(axis=0) + 2, path.offsets[i + 1])
@@ -471,19 +424,20 @@ def _empty(x0: Array, friction: Array) -> Sweep:
     return Sweep(x0=x0, point=np.full((len(x0), 2), np.nan), phase=phase, friction=friction, **nothing)
 
 
-def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep) -> None:
+def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep, rod: Equilibria) -> None:
     """Fill in the states of the samples, which lie on the given rows."""
-    t, state = segments.solve(path, table, row, swept.x0[samples])
-    slope, x, y = path.at(table.piece[row], t)
-    alpha, f = slope + table.friction_angle[row], state.root_f**2
-    swept.f0x[samples], swept.f0y[samples] = -f * np.sin(alpha), f * np.cos(alpha)  # (8)
-    swept.m0z[samples] = 2 * state.q * state.root_f
+    piece, t, state = rod.solve(path, table.rows(row), swept.x0[samples])
+    slope, x, y = path.at(piece, t)
+    alpha, f, (across, along) = slope + table.friction_angle[row], state.force, rod.pull(path, piece)
+    swept.f0x[samples], swept.f0y[samples] = -f * np.sin(alpha) - across, f * np.cos(alpha) - along  # (8)
+    swept.m0z[samples] = state.m0z
     swept.s1[samples], swept.slope[samples] = np.minimum(state.s1, 1.0), slope  # at transitions up to rounding
     swept.point[samples] = np.stack([x, y], axis=1)
     swept.phase[samples] = np.where(table.tangential[row], Phase.TANGENTIAL, Phase.TIP)
+    _clear(swept, samples[np.isnan(state.x0)])
 
 
-def _clear(swept: Sweep, samples: Mask) -> None:
+def _clear(swept: Sweep, samples: Index | Mask) -> None:
     for column in (swept.f0x, swept.f0y, swept.m0z, swept.s1, swept.slope, swept.point):
         column[samples] = np.nan
     swept.phase[samples] = Phase.NONE
@@ -491,7 +445,10 @@ def _clear(swept: Sweep, samples: Mask) -> None:
 
 def _spread(table: Segments, part: slice, fractions: Array) -> Array:
     """Base positions from touch-down (0) to the end of the sweep (1)."""
-    start, end = table.x0[part.start, 0], np.nanmin(table.x0[part])
+    x0 = table.x0[part][np.isfinite(table.x0[part])]
+    if not len(x0):
+        raise ValueError("the object is out of the rod's reach: nowhere on it is the rod in equilibrium")
+    start, end = x0[0], x0.min()
     return np.asarray(np.where(fractions == 1, end, start + fractions * (end - start)))
 
 
@@ -499,18 +456,20 @@ def _first_row(table: Segments, part: slice, x0: Array) -> Index:
     """First row of the part on which the base position falls to x0 (n,): -1 before touch-down, `part.stop` after the end."""
     reached = np.minimum.accumulate(np.nan_to_num(table.x0[part, 1], nan=np.inf))
     row = part.start + np.searchsorted(-reached, -x0)
-    return np.asarray(np.where(x0 > table.x0[part.start, 0], -1, row))
+    begins = table.x0[part, 0]
+    return np.asarray(np.where(x0 > begins[np.argmax(np.isfinite(begins))], -1, row))
 
 
-def _search_each(path: Path, samples: Index, interval: Index, swept: Sweep) -> Index:
+def _search_each(path: Path, samples: Index, interval: Index, swept: Sweep, rod: Equilibria) -> Index:
     """Solve samples on separate intervals (2, n) of the path, each with its friction; returns those that are not in theirs."""
     x0 = swept.x0[samples]
-    table, bounds = cut_intervals(path, interval[0], interval[1], np.arctan(swept.friction[samples]))
+    table, bounds = cut_intervals(path, interval[0], interval[1], np.arctan(swept.friction[samples]), rod)
     rows = np.where(table.x0[:, 1] <= x0[table.owner], np.arange(len(table.owner)), len(table.owner))
     row = np.minimum.reduceat(rows, bounds[:-1])
-    inside = (row < len(table.owner)) & (table.x0[bounds[:-1], 0] >= x0)
-    _solve(path, table, row[inside], samples[inside], swept)
-    return np.asarray(samples[~inside])
+    known = np.where(np.isfinite(table.x0[:, 0]), np.arange(len(table.owner)), len(table.owner) - 1)
+    inside = (row < len(table.owner)) & (table.x0[np.minimum.reduceat(known, bounds[:-1]), 0] >= x0)
+    _solve(path, table, row[inside], samples[inside], swept, rod)
+    return np.asarray(samples[swept.phase[samples] == Phase.NONE])
 
 
 class EventKind(Explained):
@@ -620,8 +579,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
 
 def _states(path: Path, table: segments.Segments, row: Index, x0: Array) -> list[Array]:
     """Slope, x, y, force and moment (n,) of contacts in a sweep in -x."""
-    t, state = segments.solve(path, table, row, x0)
-    return [*path.at(table.piece[row], t), state.root_f**2, 2 * state.q * state.root_f]
+    piece, t, state = UNIFORM.solve(path, table.rows(row), x0)
+    return [*path.at(piece, t), state.force, state.m0z]
 
 
 def _paired(before: Array, after: Array, without_contact: float) -> Array:

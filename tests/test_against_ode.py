@@ -44,11 +44,11 @@ class Equilibria(NamedTuple):
 
     @property
     def f(self):
-        return self.state.root_f**2
+        return self.state.force
 
     @property
     def m0z(self):
-        return 2 * self.state.q * self.state.root_f
+        return self.state.m0z
 
     def __getitem__(self, rows):
         state = segments.State._make(column[rows] for column in self.state)
@@ -69,7 +69,7 @@ def random_equilibria():
     y[close] = 1 - 10 ** rng.uniform(-12, -1, close.sum())
     tangential = segments.is_tangential(slope, y, zeta)
     state = segments.states(tangential, slope, x, y, zeta)
-    exists = np.isfinite(state.x0) & (state.root_f > 0)
+    exists = np.isfinite(state.x0) & (state.force > 0)
     chosen = np.concatenate([np.flatnonzero(exists & tangential)[:5000], np.flatnonzero(exists & ~tangential)[:5000]])
     assert len(chosen) == 10_000
     return Equilibria(slope, zeta, np.stack([x, y], axis=1), tangential, state)[chosen]

@@ -179,6 +179,13 @@ def test_sweeps_are_reconstructed(contour, rod, direction):
     assert (contacts.friction_angle_bound[tip] < np.arctan(friction[tip]) + 1e-7).all()
 
 
+@pytest.mark.parametrize("rod", [*RODS, Rod(tip_diameter=0.1), Rod(curvature=0.2)])
+def test_sweeps_touch_from_touch_down_to_their_end(rod):
+    polygons = [HEXAGON, planar.Polygon(HEXAGON.vertices * [0.4, 0.8])]
+    for swept in planar.sweep_all([*CONTOURS[:2], *polygons], [0.0, 0.3, 0.3, 0.0], samples=20, rod=rod):
+        assert (swept.phase != Phase.NONE).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("contour", CONTOURS)
 @pytest.mark.parametrize("friction", [0.0, 0.4])

@@ -145,7 +145,7 @@ def test_lengths_forces_and_moments_scale_with_the_rod(scale, slope, y, friction
     scaled = segments.tangential(slope, scale * x, np.array([scale * y]), zeta)
     np.testing.assert_allclose(scaled.x0, scale * full.x0, atol=1e-13)
     np.testing.assert_allclose(scaled.s1, scale * full.s1, rtol=1e-13)
-    np.testing.assert_allclose(scaled.root_f, full.root_f / scale, rtol=1e-13)
+    np.testing.assert_allclose(scaled.force, full.force / scale**2, rtol=1e-13)
     np.testing.assert_array_equal(scaled.q, full.q)
 
 
