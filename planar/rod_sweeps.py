@@ -81,8 +81,8 @@ class AnyRod(Equilibria):
             known, u = np.isfinite(state.x0), state.q[:, 1]
             ahead = np.roll(known, -1)
             stops = known & same & (~ahead | (np.abs(np.roll(u, -1) - u) > _APART)) & ~tried
-            source = np.maximum.accumulate(np.where(np.roll(stops, 1), every - 1, -_LED))
-            led = (every - source <= _LED) & (owner[source] == owner)
+            source = np.maximum.accumulate(np.where(np.roll(stops, 1), every - 1, -1))
+            led = (source >= 0) & (every - source <= _LED) & (owner[source] == owner)
             begins = ~known & same & ahead & ~np.roll(tried, -1) & ~led
             source = np.where(begins, every + 1, source)
             rows = np.flatnonzero(led | begins)
