@@ -26,7 +26,7 @@ from planar.contours import Path
 from planar.rods import Overhang, Rod, excess, grid, overhang, started, step
 from planar.segments import Equilibria, Segments, State, cut_rows, fractions, rates
 
-# Steps along the rod for tables.
+# Steps along the rod to start with.
 _COARSE = 4
 # Error of a state that more steps along the rod may leave, in rod lengths and radians.
 _AGREED = 1e-10
@@ -87,15 +87,16 @@ class AnyRod(Equilibria):
             source = np.where(begins, every + 1, source)
             rows = np.flatnonzero(led | begins)
             start = np.stack([end[rows], *state.q[source[rows]].T])
-            found = self._newton(path, piece[rows], zeta[rows], start).state
+            led_on = self._newton(path, piece[rows], zeta[rows], start).state
             with np.errstate(invalid="ignore"):
-                nearer = np.abs(found.q[:, 1] - start[2]) < np.abs(u[rows] - start[2]) - _SOLVED
-            better = np.isfinite(found.x0) & (~known[rows] | nearer)
-            _put(state, rows[better], _rows(found, better))
+                nearer = np.abs(led_on.q[:, 1] - start[2]) < np.abs(u[rows] - start[2]) - _SOLVED
+            better = np.isfinite(led_on.x0) & (~known[rows] | nearer)
+            _put(state, rows[better], _rows(led_on, better))
             tried[source[rows]] = True
             tried[source[rows[better]]] = False
             if not better.any():
-                return np.signbit(state.q[:, 1]), state
+                found = self._newton(path, piece, zeta, np.stack([end, *state.q.T]))
+                return np.signbit(state.q[:, 1]), self._refined(path, piece, zeta, found)[1]
 
     def cut_within(self, path: Path, parts: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
         """Cut where the equilibria of a piece begin: at touch-down, where the force vanishes, or in a fold of their place."""
