@@ -36,31 +36,29 @@ from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, report, rounded
 from scan3d.settings import Settings
-from scan3d.simulation.scan import Progress, simulate_judged
+from scan3d.simulation.scan import simulate_judged
 from scan3d.surfaces import surface
 from scan3d.surfaces.any_shape import any_shape, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
+from scan3d.workers import tell
 
 # The views of the pictures in a result's folder.
 _VIEWS = ("cloud", "surface")
 _JOBS = [(".png", {"view": name}) for name in _VIEWS]
-Step = Callable[[str], None]
-"""Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
 Notify = Callable[[str], None]
 """Is called with a sentence on what a user should know, such as that pictures cannot be rendered."""
 
 
 class Clock:
-    """Seconds spent on each step, by name; `step` is told when one begins."""
+    """Seconds spent on each step, by name; that one begins is told (`workers.tell`)."""
 
-    def __init__(self, seconds: Mapping[str, float] | None = None, step: Step = lambda _: None) -> None:
+    def __init__(self, seconds: Mapping[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = dict(seconds or {})
-        self._step = step
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        self._step(name)
+        tell(name)
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
@@ -73,9 +71,7 @@ def scan(
     *,
     inputs: Inputs | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
     notify: Notify = lambda _: None,
-    step: Step = lambda _: None,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
 
@@ -86,8 +82,6 @@ def scan(
     inputs, overwrite
         as in `files.whole.replacing`: what the run reads besides the mesh, and whether files that the program did not write may
         be replaced.
-    progress
-        called with the numbers of slices that are done and of all slices.
 
     Raises InputError as `load_mesh`, `simulate`, `analyse` and `files.whole.replacing`.
     """
@@ -98,16 +92,16 @@ def scan(
         with clock("load"):
             body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit) if is_path else judge_mesh(mesh, hull=chosen.hull)
         with clock("simulate"):
-            return with_origin(simulate_judged(body, plan, progress), body), body
+            return with_origin(simulate_judged(body, plan), body), body
 
     read = {**({"mesh": mesh} if is_path else {}), **(inputs or {})}
     settings = dataclasses.asdict(chosen)
     if out is None:
-        clock = Clock(step=step)
+        clock = Clock()
         analysis = analyse(*record(clock), chosen.method, reach=chosen.reach, clock=clock)
         return analysis, report(analysis, settings=settings)
     with replacing(out, inputs=read, overwrite=overwrite) as result:
-        performed = _performed(record, result, settings, chosen.method, None, notify, step)
+        performed = _performed(record, result, settings, chosen.method, None, notify)
     truth = performed[0].truth
     if is_path and truth is not None and (question := unit_question(float(truth.extents.max()), plan.unit)):
         notify(question)
@@ -123,7 +117,6 @@ def reconstruct(
     inputs: Inputs | None = None,
     overwrite: bool = False,
     notify: Notify = lambda _: None,
-    step: Step = lambda _: None,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Analyse a recording, and write the results into the folder `out`: the analysis and its report.
 
@@ -140,7 +133,7 @@ def reconstruct(
             return read()
 
     with replacing(out, inputs=inputs, overwrite=overwrite) as result:
-        return _performed(record, result, settings, settings["method"], model, notify, step)
+        return _performed(record, result, settings, settings["method"], model, notify)
 
 
 def _performed(
@@ -150,10 +143,9 @@ def _performed(
     method: str,
     model: str | None,
     notify: Notify,
-    step: Step,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Record, analyse and write; contacts and surface are drawn while the surface is certified and compared."""
-    clock = Clock(step=step)
+    clock = Clock()
     with Drawing() as drawing:
         recording, truth = record(clock)
 

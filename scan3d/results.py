@@ -62,6 +62,7 @@ from scan3d.simulation.scan import Progress
 from scan3d.simulation.scan import simulate as simulate_scan
 from scan3d.surfaces import choice
 from scan3d.units import UNITS_M, Unit, check_unit, unit_of, unit_remark
+from scan3d.workers import counted
 
 if TYPE_CHECKING:
     import pandas
@@ -477,7 +478,7 @@ def scan(
     overwrite
         whether files in the folder that the program did not write may be replaced.
     progress
-        called with the numbers of slices that are done and of all slices.
+        called with how many slices, sweeps or planes of probings are done, and of how many.
 
     The same mesh and settings give the same results as the command, byte for byte apart from times.
 
@@ -486,7 +487,8 @@ def scan(
     """
     chosen = chosen_settings(settings, source="scan3d.scan")
     place = None if out is None else Path(out)
-    analysis, data = pipeline.scan(mesh, chosen, place, overwrite=overwrite, progress=progress)
+    with counted(progress):
+        analysis, data = pipeline.scan(mesh, chosen, place, overwrite=overwrite)
     return Result(data, analysis)
 
 

@@ -1,4 +1,4 @@
-"""This process and its workers: how they compute, what memory they have, and how they end."""
+"""This process and its workers: how they compute, what they tell of it, what memory they have, and how they end."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, NoReturn
@@ -19,6 +20,9 @@ from scan3d.errors import InputError
 
 ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """The numbers of threads that OpenBLAS, MKL and Accelerate read when they start."""
+Heard = Callable[[str, int, int], object]
+"""Is called with what is computed, how many parts of it are done, and of how many, 0 where they are not counted."""
+_HEARD: ContextVar[Heard] = ContextVar("_HEARD", default=lambda *_: None)
 _UNDONE: list[Callable[[], object]] = []
 _SIGNALS = {
     getattr(signal, name): words
@@ -49,6 +53,33 @@ def compute_algebra_in_one_thread() -> None:
     """
     for name in ALGEBRA:
         os.environ.setdefault(name, "1")
+
+
+@contextmanager
+def heard(by: Heard) -> Iterator[None]:
+    """Within it `by` is called with what `tell` tells."""
+    before = _HEARD.set(by)
+    try:
+        yield
+    finally:
+        _HEARD.reset(before)
+
+
+def counted(by: Callable[[int, int], object] | None) -> AbstractContextManager[None]:
+    """`heard` by a function of the numbers alone, or by those before if there is none."""
+    return nullcontext() if by is None else heard(lambda _, done, total: by(done, total) if total else None)
+
+
+def tell(words: str, done: int = 0, total: int = 0) -> None:
+    """Tell who hears of it that a step begins, by its name, or how many parts of it are done, of how many, by their noun."""
+    _HEARD.get()(words, done, total)
+
+
+def told(items: Any, words: str) -> Iterator[Any]:
+    """The items, one after the other; tells how many `words` are done before each."""
+    for done, item in enumerate(items):
+        tell(words, done, len(items))
+        yield item
 
 
 @contextmanager
@@ -120,11 +151,12 @@ def check_memory(needed: float, what: str, advice: str) -> None:
 _STARTING = threading.Lock()
 
 
-def shared(function: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any], least: int) -> list[Any]:
+def shared(function: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any], least: int, words: str) -> list[Any]:
     """`function(items)`, which has a result for each item, computed part by part in as many processes as there are cores.
 
     The parts, of so many items at `least`, and with them the results, do not depend on the number of processes.  In a worker,
-    beside which others have the other cores, all is computed here, as is the part of a process that is lost.
+    beside which others have the other cores, all is computed here, as is the part of a process that is lost.  Tells how many
+    `words`, such as sweeps, are done.
     """
     count = max(len(items) // least, 1)
     ends = [len(items) * k // count for k in range(count + 1)]
@@ -133,10 +165,12 @@ def shared(function: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any],
     used = 1 if multiprocessing.parent_process() else min(cores, count)
     with Workers(max(used - 1, 1)) as workers, undone_if_ended(workers.kill):
         asked = {k: workers.submit(function, parts[k]) for k in range(count) if k % used}
-        found = {k: function(parts[k]) for k in range(0, count, used)}
-        for k, answer in asked.items():
+        found: dict[int, list[Any]] = {}
+        for k in [*range(0, count, used), *asked]:
+            done = {*found, *(other for other, answer in asked.items() if answer.done())}
+            tell(words, sum(len(parts[other]) for other in done), len(items))
             try:
-                found[k] = answer.result()
+                found[k] = asked[k].result() if k in asked else function(parts[k])
             except BrokenExecutor:
                 found[k] = function(parts[k])
     return [result for k in range(count) for result in found[k]]

@@ -5,6 +5,7 @@ import io
 import json
 import re
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import scan3d
 from scan3d.cli import main, terminal
 from scan3d.cli.commands import run
 from scan3d.cli.terminal import Progress
+from scan3d.workers import heard
 
 SIZE = ["--slices", "3", "--sweeps", "4", "--samples", "8"]
 HEADING = "248222 contacts of 259840 samples"
@@ -66,19 +68,50 @@ def shown(monkeypatch, *arguments, stream=None):
     return code, re.sub("\x1b\\[[0-9?]*[a-zA-Z]", "", stream.getvalue())
 
 
-def test_a_terminal_sees_what_is_done(monkeypatch, tmp_path, no_pictures):
-    seen = []
-    tell = Progress.tell
-    monkeypatch.setattr(Progress, "tell", lambda *a, **k: (seen.append(a[1:]), tell(*a, **k))[1])
+def test_what_is_told_of_a_scan_is_its_steps_and_counts_that_grow_to_their_totals(tmp_path, no_pictures):
+    told = []
+    with heard(lambda *of: told.append(of)):
+        result = scan3d.scan(CUBE, tmp_path, slices=3, sweeps=4, samples=8)
+    steps = [words for words, _, total in told if not total]
+    assert sorted(steps) == sorted(result.report["timings_s"])
+    counted = [(done, total) for words, done, total in told if words == "slices"]
+    assert counted == sorted(counted)
+    assert counted[-1] == (3, 3)
+
+
+def test_a_terminal_sees_what_is_done_and_how_far_it_is(monkeypatch, tmp_path, no_pictures):
     code, written = shown(monkeypatch, "scan", CUBE, "--out", tmp_path / "out", *SIZE)
     assert code == 0
-    # each step of the report, with its parts where they are counted
-    words = [told[0] for told in seen]
-    steps = json.loads((tmp_path / "out" / "report.json").read_text())["timings_s"]
-    assert set(steps) == set(terminal._STEPS)
-    assert [word for word in terminal._STEPS.values() if word not in words] == []
-    assert ("simulating 3/3 slices", 3, 3) in seen
-    assert written.startswith("\rscan: starting") or "scan: starting" in written
+    assert re.match(r"scan: [\d.]+ s: starting", written.lstrip())
+
+
+def test_a_line_says_how_far_a_step_is_and_how_long_it_will_take(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    progress = Progress("scan", quiet=True)
+    progress.tell("simulate")
+    for now, told, line in (  # noqa: B007 - the clock reads it
+        (110.0, ("slices", 0, 8), "10 s: simulating, 0 of 8 slices"),
+        (130.0, ("slices", 2, 8), "30 s: simulating, 2 of 8 slices, about 1 min 0 s left of this"),
+        (150.0, ("slices", 8, 8), "50 s: simulating, 8 of 8 slices"),
+        # what follows is counted anew, and what was done before does not count for its pace
+        (150.0, ("planes", 16, 64), "50 s: simulating, 16 of 64 planes"),
+        (160.0, ("planes", 40, 64), "1 min 0 s: simulating, 40 of 64 planes, about 10 s left of this"),
+        (170.0, ("surface",), "1 min 10 s: surface"),
+    ):
+        progress.tell(*told)
+        assert progress.line() == line
+
+
+def test_without_a_terminal_there_is_a_line_every_so_many_seconds_also_while_nothing_is_told(monkeypatch):
+    monkeypatch.setattr(terminal, "EVERY_S", 0.05)
+    monkeypatch.setattr(sys, "stderr", stream := Stream(False))
+    with Progress("scan", quiet=False) as progress:
+        progress.tell("surface")
+        deadline = time.monotonic() + 20
+        while stream.getvalue().count("s: surface") < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert stream.getvalue().count("s: surface") >= 3
 
 
 def test_nothing_is_shown_on_a_teletype_in_a_pipe_or_with_quiet(monkeypatch, tmp_path):
@@ -98,7 +131,7 @@ def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_l
     with Progress("scan", quiet=False) as progress:
         for name in terminal._STEPS:
             assert bool(stream.getvalue()) == (now > 101.3)
-            progress.step(name)
+            progress.tell(name)
             now += 0.4
     lines = stream.getvalue().splitlines()
     assert lines == [f"scan3d: {0.4 * k:.1f} s: {words}" for k, words in enumerate(terminal._STEPS.values())]

@@ -99,9 +99,9 @@ def test_shared_work_runs_no_script_twice_and_survives_the_loss_of_a_process(tmp
         "from scan3d.workers import shared\n"
         "from squares import squares\n"
         "os.sched_getaffinity = lambda _: {0, 1, 2}\n"
-        "found = shared(squares, list(range(12)), 2)\n"
+        "found = shared(squares, list(range(12)), 2, 'squares')\n"
         "assert found[4:6] == [(16, True), (25, True)]\n"
-        "print([square for square, _ in found], shared(squares, [3], 2))\n"
+        "print([square for square, _ in found], shared(squares, [3], 2, 'squares'))\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["begins", f"{[k**2 for k in range(12)]} [(9, False)]"]

@@ -34,6 +34,7 @@ from scan3d.reconstruction.probings import free_lines
 from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
 from scan3d.recording import Recording, of_rows
 from scan3d.units import UNITS_M
+from scan3d.workers import told
 
 # Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
 _DIRECTIONS = 48
@@ -258,7 +259,7 @@ def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float,
     direction = np.round(np.arctan2(along[:, 1], along[:, 0]) / (2 * np.pi) * _DIRECTIONS).astype(int) % _DIRECTIONS
     across = np.arange(int(np.hypot(*shape)) + 2)
     x, y = ((np.arange(n) - (n - 1) / 2) * cell for n in shape)
-    for number in np.unique(direction):
+    for number in told(np.unique(direction), "directions"):
         angle = 2 * np.pi * number / _DIRECTIONS
         turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
         some = rows[direction == number]

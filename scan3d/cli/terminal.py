@@ -10,8 +10,9 @@ import json
 import os
 import re
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 from cyclopts import Group, Parameter, Token
 
 from scan3d.settings import Settings, settings
-from scan3d.workers import undone_if_ended
+from scan3d.workers import heard, undone_if_ended
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -100,6 +101,8 @@ else:
 # Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
 # separators, the marks that turn the direction of writing (Unicode's "Trojan source"), and surrogates, which are no characters.
 _OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+EVERY_S = 20.0
+"""Seconds from line to line on what a command is doing, where there is no terminal."""
 # The steps of a scan, by their names in `timings_s` of a report.
 _STEPS = {
     "load": "reading",
@@ -215,74 +218,87 @@ def print_settings(values: Mapping[str, Any]) -> int:
 
 
 class Progress:
-    """A context in which stderr shows what a command is doing: a line that changes on a terminal, a few lines elsewhere."""
+    """A context in which stderr shows what a command is doing, how far it is, for how long, and how long it will take.
+
+    It is a line that changes on a terminal; elsewhere a line for each step of a scan, and one every `EVERY_S`.
+    """
 
     def __init__(self, command: str, quiet: bool) -> None:
         self._command, self._quiet = command, quiet
-        # without a terminal what is counted is told after 10 s, and again after twice the time of the line before
-        self._begun, self._due = time.monotonic(), 10.0
-        # and the steps of a scan one by one, as soon as the run has lasted a second
-        self._lines: list[str] = []
+        self._begun = self._since = time.monotonic()
+        self._step, self._parts, self._before, self._done, self._total = "starting", "", 0, 0, 0
+        self._lines: list[str] = []  # the steps that began in the first second, which most commands do not last
         self._bar: Any = None
-        self._undone = ExitStack()
+        self._over = threading.Event()
+        self._context = ExitStack()
 
     def __enter__(self) -> Progress:
-        if not self._quiet and is_terminal(sys.stderr):
+        self._context.enter_context(undone_if_ended(self.end))
+        self._context.enter_context(heard(self.tell))
+        if self._quiet:
+            return self
+        if is_terminal(sys.stderr):
             from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+            from rich.live import Live
+            from rich.text import Text
 
-            columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-            self._bar = Progress(
-                *columns,
+            self._bar = Live(
+                get_renderable=lambda: Text(f"{self._command}: {self.line()}"),
                 console=Console(file=sys.stderr),
                 transient=True,
                 refresh_per_second=2,
                 redirect_stdout=False,
                 redirect_stderr=False,
             )
-            self._task = self._bar.add_task(f"{self._command}: starting", total=None)
-            self._bar.start()
-        self._undone.enter_context(undone_if_ended(self.end))
+            self._bar.start(refresh=True)
+        else:
+            threading.Thread(target=self._say_every, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._undone.close()
         self.end()
+        self._context.close()
 
     def end(self) -> None:
         """Nothing more is shown: before a result is printed."""
         self._quiet = True
+        self._over.set()
         if self._bar is not None:
             with suppress(OSError, ValueError):  # the stream may be closed before the run ends
                 self._bar.stop()
             self._bar = None
 
-    def tell(self, words: str, done: int = 0, total: int | None = None) -> None:
-        """Show what is being done, and how many parts of it are done, of how many."""
-        seconds = time.monotonic() - self._begun
-        if self._bar is not None:
-            self._bar.update(self._task, description=f"{self._command}: {words}", completed=done, total=total)
+    def _say_every(self) -> None:
+        while not self._over.wait(EVERY_S):
+            self._say_lines()
+            say(self.line())
+
+    def line(self) -> str:
+        """What is being done, how many parts of it are done, of how many, for how long, and how long it will take."""
+        now = time.monotonic()
+        words = f"{duration(now - self._begun)}: {self._step}"
+        if self._total:
+            words += f", {self._done} of {self._total} {self._parts}"
+        if self._before < self._done < self._total:
+            left = (now - self._since) * (self._total - self._done) / (self._done - self._before)
+            words += f", about {duration(left)} left of this"
+        return words
+
+    def tell(self, words: str, done: int = 0, total: int = 0) -> None:
+        """Hear that a step begins, by its name in `timings_s` of a report or in words, or how many parts of it are done."""
+        if total:
+            if total != self._total or done < self._done:
+                self._since, self._before = time.monotonic(), done
+            self._parts, self._done, self._total = words, done, total
             return
+        self._step, self._total = _STEPS.get(words, words), 0
+        if words in _STEPS and self._bar is None:
+            self._lines.append(self.line())
         self._say_lines()
-        if not self._quiet and seconds >= self._due:
-            self._due = 2 * seconds
-            say(f"{words}, {duration(seconds)} so far")
 
     def _say_lines(self) -> None:
         while self._lines and not self._quiet and time.monotonic() - self._begun >= 1:
             say(self._lines.pop(0))
-
-    def step(self, name: str) -> None:
-        """Show that a step of a scan begins, by its name in `timings_s` of a report, elsewhere in a line of its own."""
-        if self._bar is not None:
-            self.tell(_STEPS[name])
-        else:
-            self._lines.append(f"{duration(time.monotonic() - self._begun)}: {_STEPS[name]}")
-            self._say_lines()
-
-    def counter(self, parts: str) -> Callable[[int, int], None]:
-        """A function that shows how many parts are simulated, of how many."""
-        return lambda done, total: self.tell(f"simulating {done}/{total} {parts}", done, total)
 
     def say(self, sentence: str) -> None:
         """Write a message, which stays."""

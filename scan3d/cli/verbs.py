@@ -169,10 +169,9 @@ def simulate(
     check_path(out)
     check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()
-    output.progress.tell("reading")
     body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit)
     with folder(out.parent):
-        recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
+        recording = simulate_scan(body, plan)
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
     if question := unit_question(float(body.extents.max()), plan.unit):
         say(question)
@@ -291,7 +290,6 @@ def reconstruct(
         inputs=inputs,
         overwrite=overwrite,
         notify=output.progress.say,
-        step=output.progress.step,
     )
     return _report(data, out, strict, output)
 
@@ -417,7 +415,7 @@ def batch(
 
     def show(now: Any) -> None:
         failed = f", {now.failed} failed" if now.failed else ""
-        output.progress.tell(f"{now.done}/{now.total} runs{failed}", now.done, now.total)
+        output.progress.tell(f"runs{failed}", now.done, now.total)
 
     start = time.monotonic()
     with scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
@@ -470,9 +468,7 @@ def _scanned(
 ) -> dict[str, Any]:
     from scan3d import pipeline
 
-    told: dict[str, Any] = {"step": output.progress.step, "notify": output.progress.say}
-    counter = output.progress.counter(_parts(chosen))
-    return pipeline.scan(mesh, chosen, out, inputs=inputs, overwrite=overwrite, progress=counter, **told)[1]
+    return pipeline.scan(mesh, chosen, out, inputs=inputs, overwrite=overwrite, notify=output.progress.say)[1]
 
 
 def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> int:
@@ -483,10 +479,6 @@ def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> in
     for warning in data["warnings"]:
         say(f"warning: {warning['message']}")
     return 1 if strict and data["warnings"] else 0
-
-
-def _parts(chosen: Settings) -> str:
-    return "rounds" if chosen.model == "spatial" else "slices"
 
 
 def _reconstruct_sweep(

@@ -24,7 +24,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import SIGMAS, contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
-from scan3d.workers import shared
+from scan3d.workers import shared, told
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
@@ -141,7 +141,7 @@ class _Rows:
         """
         found = np.zeros(len(refused), dtype=bool)
         # 16 slices are worth another process
-        for rows in shared(partial(self._contradicting, self.touching & ~refused), self._slices(), 16):
+        for rows in shared(partial(self._contradicting, self.touching & ~refused), self._slices(), 16, "slices"):
             found[rows] = True
         return found
 
@@ -203,7 +203,8 @@ class _Rows:
         touched[single.row] = single.phase == planar.Phase.TANGENTIAL
         asked[single.row] = False
         first, slice_of = np.full(len(asked), np.nan), np.zeros(len(asked), dtype=np.int32)
-        for number, (plane, members) in zip(np.unique(self.slice), self._slices(), strict=True):
+        slices = list(zip(np.unique(self.slice), self._slices(), strict=True))
+        for number, (plane, members) in told(slices, "slices"):
             rows = np.concatenate(members)
             slice_of[rows], around = number, rows[touched[rows]]
             corners = planar.corners(self._in_plane(self.found.point[around], around, plane))

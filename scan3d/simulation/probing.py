@@ -10,7 +10,7 @@ edge, it does not, and the probing is left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -30,18 +30,16 @@ from scan3d.simulation.felt import drawn_friction, recorded
 from scan3d.spatial.bodies import cross
 from scan3d.spatial.march import ends, free_reactions
 from scan3d.units import UNITS_M
+from scan3d.workers import tell
 
 # Rounds of the iteration, and by how much a place changes at its end, in rod lengths.
 _ROUNDS, _SETTLED = 10, 1e-12
 
 
-def probe(
-    mesh: Any, plan: Plan, rod: Rod, swept: Sequence[Recording] = (), progress: Callable[[int, int], None] | None = None
-) -> Recording:
+def probe(mesh: Any, plan: Plan, rod: Rod, swept: Sequence[Recording] = ()) -> Recording:
     """Recording of probings of a closed `trimesh.Trimesh` of any shape, after sweeps that were recorded, if there are any.
 
-    Round after round they go where most is unknown, as contacts and free places tell.  `progress` is called with the number of
-    planes done and of all planes at most.
+    Round after round they go where most is unknown, as contacts and free places tell.
     """
     length, most = rod.length_m / UNITS_M[plan.unit], PLANES * plan.slices
     unknown, recordings, planes = Unknown(mesh.bounds[0], mesh.bounds[1], length, [plan.seed]), list(swept), 0
@@ -53,8 +51,7 @@ def probe(
         with suppress(NoContactError):
             cloud = contacts(part, plan.model)
             unknown.add(cloud.points, part.axes()[cloud.row, 1], free_lines(part, cloud))
-        if progress is not None:
-            progress(min(planes, most), most)
+        tell("planes of probings", min(planes, most), most)
         if plan.known and unknown.known() >= plan.known:
             break
         planned = unknown.next_round(min(PER_ROUND, most - planes))

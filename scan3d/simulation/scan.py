@@ -69,7 +69,7 @@ from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
 from scan3d.spatial.sweeping import Sweeps, passages, sweep
 from scan3d.units import UNITS_M, length
-from scan3d.workers import check_memory, shared
+from scan3d.workers import check_memory, counted, shared, tell
 
 Progress = Callable[[int, int], None]
 
@@ -85,18 +85,22 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     plan
         the settings; those of `Plan()` by default.
     progress
-        is called with the number of slices done and the number of all slices.
+        is called with how many slices, sweeps or planes of probings are done, and of how many.
 
     Raises InputError if the body is not closed, if it is too thin to be sliced along an axis of the plan, and if the
     recording would not fit into memory.
     """
     plan = plan or Plan()
     check_body(mesh)
-    return simulate_judged(mesh, plan, progress)
+    with counted(progress):
+        return simulate_judged(mesh, plan)
 
 
-def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
-    """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
+def simulate_judged(mesh: Any, plan: Plan) -> Recording:
+    """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again.
+
+    How many slices, sweeps and probings are done is told to who hears of it (`workers.heard`).
+    """
     _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
     convex = is_convex(mesh)
     along = plan.probing == "only" or plan.has_bead or (plan.probing == "auto" and not convex)
@@ -107,10 +111,10 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         )
     only = plan.probing == "only" or plan.model == "spatial" or not (plan.rod is None or plan.rod.is_simple)
     if along and only:
-        return probe(mesh, plan, rod_for(mesh, plan), progress=progress)
+        return probe(mesh, plan, rod_for(mesh, plan))
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
-        return simulate_spatial(mesh, plan, progress)
+        return simulate_spatial(mesh, plan)
     for setting, given in (("axis free", plan.is_free), ("a tolerance", plan.tolerance)):
         if given and plan.spacing != "adaptive":
             raise InputError(f"{setting} needs adaptive spacing, got spacing {plan.spacing!r}; leave one of them out")
@@ -138,15 +142,14 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     # more slices along each axis are planned for one axis after the other
     few = len(scans) > 1 and (not plan.tolerance or plan.slices <= 28)
     if plan.spacing == "adaptive" and not plan.noise and (few or plan.is_free):
-        _scan_together(scans, rod, progress)
+        _scan_together(scans, rod)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
-        count = plan.slices * len(scans) + planes
 
-        def report(done: int, before: int = plan.slices * k, count: int = count) -> None:
-            if progress is not None:
-                progress(before + min(done, plan.slices), count)
+        def report(done: int, before: int = plan.slices * k) -> None:
+            tell("slices", before + min(done, plan.slices), plan.slices * len(scans))
 
+        report(0)
         first = first_heights(*scan.extent, plan)
         # rods of bodies that are not convex are followed together, and by several processes
         together = 16 if convex else 64
@@ -159,16 +162,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         if not convex and plan.sweeps is None and not along:
             _aim(scan, rod)
     swept = recording_of(scans, rod)
-    if not along:
-        return swept
-    done = count - planes
-    return probe(
-        mesh,
-        replace(plan, slices=planes // PLANES),
-        rod,
-        [swept],
-        progress and (lambda k, _: progress(done + k, count)),
-    )
+    return probe(mesh, replace(plan, slices=planes // PLANES), rod, [swept]) if along else swept
 
 
 def rod_for(mesh: Any, plan: Plan) -> Rod:
@@ -250,13 +244,13 @@ def _adapt(
 
 def _aim(scan: AxisScan, rod: Rod) -> None:
     """Sweep slices of a body that is not convex again, at the widest stretches of their contours that no contact supports."""
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         recording = recording_of([scan], rod)
         try:
             aimed = aims(recording, contacts(recording))
         except InputError:  # too few contacts to say where others are needed
             return
-        scan.sweep_at(aimed)
+        scan.sweep_at(aimed, f"aimed sweeps, round {1 + number} of {_ROUNDS}")
         _check_sweeps(scan, scan.plan.samples)
 
 
@@ -282,7 +276,7 @@ def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
     return swept_again
 
 
-def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -> None:
+def _scan_together(scans: list[AxisScan], rod: Rod) -> None:
     """Scan along several axes, of which the contacts along all choose the next heights, and the axis, or in any planes.
 
     Only exact contacts along different axes agree well enough for this.
@@ -291,8 +285,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
     count, most = plan.slices * len(scans), (plan.slices + BEYOND) * len(scans)
 
     def report(*_: int) -> None:
-        if progress is not None:
-            progress(min(sum(len(scan.heights) for scan in scans), count), count)
+        tell("slices", min(sum(len(scan.heights) for scan in scans), count), count)
 
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
@@ -401,15 +394,15 @@ class AxisScan:
         self.swept += further
         return bool(further)
 
-    def sweep_at(self, aimed: list[Aim]) -> None:
-        """Sweep slices again, from base lines from which the rod's end reaches as far as is aimed at."""
+    def sweep_at(self, aimed: list[Aim], words: str) -> None:
+        """Sweep slices again, from base lines from which the rod's end reaches as far as is aimed at; `words` are told."""
         slices = self._nearest(np.array([aim.height for aim in aimed])) if aimed else []
         done = {i: [swept for swept in self.swept if swept.slice == i] for i in slices}
         lines: dict[int, list[BaseLine]] = {i: [] for i in slices}
         for aim in aimed:
             (i,) = self._nearest(np.array([aim.height]))
             lines[i].append(aimed_line(aim, self.outline(i), self.length, self.plan.clearance * self.length))
-        self.swept += self._sweep(lines, done)
+        self.swept += self._sweep(lines, done, words)
 
     def _nearest(self, heights: Array) -> list[int]:
         """The numbers of the slices at some heights, each once."""
@@ -473,7 +466,9 @@ class AxisScan:
             for clearance in several
         ]
 
-    def _sweep(self, lines: dict[int, list[BaseLine]], done: dict[int, list[_Swept]]) -> list[_Swept]:
+    def _sweep(
+        self, lines: dict[int, list[BaseLine]], done: dict[int, list[_Swept]], words: str = "sweeps"
+    ) -> list[_Swept]:
         """Sweeps of slices along some base lines each, after those that are done."""
         aims = [(i, len(done[i]) + k, line) for i, of_slice in lines.items() for k, line in enumerate(of_slice)]
         if not aims:
@@ -491,7 +486,7 @@ class AxisScan:
                 # fewer that are stepped together take longer for each
                 # probings come where contacts behind second ones are left out
                 single = self.plan.probing != "off"
-                results = shared(partial(_sweep_together, shares=shares, single=single), sweeps, 192)
+                results = shared(partial(_sweep_together, shares=shares, single=single), sweeps, 192, words)
         except InputError:
             raise
         except ValueError as error:
@@ -571,7 +566,7 @@ class _SpatialSweeps(NamedTuple):
     result: Sweeps
 
 
-def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
+def simulate_spatial(mesh: Any, plan: Plan) -> Recording:
     """Recording of a scan in space of a convex `trimesh.Trimesh`, with six axes.
 
     The rod's centre line touches the mesh fattened by the rod's radius.  Raises InputError if the rod touches nothing.
@@ -600,12 +595,9 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
         )
         if len(contacts) < 4:
             break
-        if progress is not None:
-            progress(1 + number, 1 + rounds)
+        tell("rounds", 1 + number, 1 + rounds)
         lines = aimed(contacts, normals, further, generator)
         swept += _sweep_in_space(body, lines, plan, 1 + number)
-    if progress is not None:
-        progress(1 + rounds, 1 + rounds)
     return _recording_in_space(swept, plan, rod, middle, length)
 
 
