@@ -41,7 +41,7 @@ from scan3d.surfaces import surface
 from scan3d.surfaces.any_shape import any_shape, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
-from scan3d.workers import tell
+from scan3d.workers import said_if_ended, tell
 
 # The views of the pictures in a result's folder.
 _VIEWS = ("cloud", "surface")
@@ -148,15 +148,21 @@ def _performed(
     clock = Clock()
     with Drawing() as drawing:
         recording, truth = record(clock)
+        with clock("write"):
+            files = {} if result.reads_recording else recording_files(recording, RECORDING[0])
+            kept = result.keep(files)
 
         def draw(cloud: Cloud, mesh: Any) -> None:
             drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
 
-        analysis = analyse(recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw)
-        bodies = ("surface", "true body")
-        if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
-            notify(remark)
-        return analysis, _put(analysis, result, settings, clock, drawing, notify)
+        with said_if_ended(kept):
+            analysis = analyse(
+                recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw
+            )
+            bodies = ("surface", "true body")
+            if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
+                notify(remark)
+            return analysis, _put(analysis, result, files, settings, clock, drawing, notify)
 
 
 def with_origin(recording: Recording, body: Any) -> Recording:
@@ -269,18 +275,22 @@ def write(
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
         drawing.begin(to_scene(analysis), _JOBS)
-        return _put(analysis, result, settings, Clock(analysis.seconds), drawing, lambda _: None)
+        files = recording_files(analysis.recording, RECORDING[0])
+        return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, lambda _: None)
 
 
 def _put(
     analysis: Analysis,
     result: Replacement,
+    files: Mapping[str, bytes],
     settings: Mapping[str, Any],
     clock: Clock,
     drawing: Drawing,
     notify: Notify,
 ) -> dict[str, Any]:
     with clock("write"):
+        for name, contents in files.items():
+            result.put(name, contents)
         _put_tables(analysis, result)
     with clock("pictures"):
         data = report(analysis, settings=settings)
@@ -290,9 +300,6 @@ def _put(
 
 def _put_tables(analysis: Analysis, result: Replacement) -> None:
     cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
-    if not result.reads_recording:
-        for name, data in recording_files(analysis.recording, RECORDING[0]).items():
-            result.put(name, data)
     result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
     vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))

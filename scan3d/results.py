@@ -518,6 +518,7 @@ def read_report(folder: Path) -> Mapping[str, Any]:
     Raises InputError if it can't be read, or was edited so that it can't be shown.
     """
     data, path = whole.read_report(folder), folder / REPORT
+    whole.check_finished(folder)
     if data.get("schema", SCHEMA) != SCHEMA:
         raise InputError(
             f"{path}: schema {data['schema']!r} is not known, expected {SCHEMA}; was it written by a newer version?"

@@ -24,6 +24,7 @@ Heard = Callable[[str, int, int], object]
 """Is called with what is computed, how many parts of it are done, and of how many, 0 where they are not counted."""
 _HEARD: ContextVar[Heard] = ContextVar("_HEARD", default=lambda *_: None)
 _UNDONE: list[Callable[[], object]] = []
+_SAID: list[str] = []
 _SIGNALS = {
     getattr(signal, name): words
     for name, words in {
@@ -92,6 +93,16 @@ def undone_if_ended(undo: Callable[[], object]) -> Iterator[None]:
         _UNDONE.remove(undo)
 
 
+@contextmanager
+def said_if_ended(words: str) -> Iterator[None]:
+    """Within it `words` are said as well if a signal ends the process; none if they are empty."""
+    _SAID.append(words)
+    try:
+        yield
+    finally:
+        _SAID.remove(words)
+
+
 def end(code: int) -> NoReturn:
     """End the process at once, when all that it was about is undone."""
     while _UNDONE:
@@ -112,7 +123,7 @@ def end_on_signals() -> None:
         # on a terminal the cursor is behind the progress or behind ^C
         newline = "\n" if sys.stderr is not None and sys.stderr.isatty() else ""
         with suppress(OSError):
-            os.write(2, f"{newline}scan3d: {_SIGNALS[number]}\n".encode())
+            os.write(2, f"{newline}scan3d: {'; '.join(filter(None, [_SIGNALS[number], *_SAID]))}\n".encode())
         end(128 + number)
 
     for number in _SIGNALS:

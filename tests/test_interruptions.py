@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 from small_scans import CUBE, EGG, FEW
 
+import scan3d
 from scan3d import workers
 from scan3d.cli import main
 
@@ -69,6 +71,53 @@ def test_ctrl_c_at_any_moment(tmp_path, moment):
     stdout, stderr = child.communicate(timeout=60)
     assert (child.returncode, stdout, stderr) == (130, "", "scan3d: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+# The scan waits for its end as soon as it has simulated.
+_WAIT = "pipeline.analyse = lambda *_, **__: (print('simulated', flush=True), signal.pause())"
+_WAITS = _CODE.replace("print(", f"from scan3d import pipeline\n{_WAIT}\nprint(", 1)
+
+
+def ended(number, out):
+    """What a scan that is ended after its simulation writes to stderr."""
+    child = start("scan", CUBE, "--out", out, *FEW, code=_WAITS)
+    assert child.stdout.readline() == "simulated\n"
+    child.send_signal(number)
+    return child.communicate(timeout=60)[1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_what_was_simulated_is_kept_and_one_goes_on_with_it(tmp_path, capsys, no_pictures, number):
+    """Against the same scan without an end: the recording is the same, byte for byte."""
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert main(["scan", str(CUBE), "--out", str(whole), *FEW]) == 0
+    on = ["reconstruct", str(out / "recording.csv"), "--out", str(out)]
+    said = f"scan3d: interrupted; the recording is kept: go on with scan3d {' '.join(on)}\n"
+    for go_on in (on, ["scan", str(CUBE), "--out", str(out)]):
+        assert ended(number, out) == (said if number == signal.SIGINT else "")
+        assert {path.name for path in out.glob("[!.]*")} == {"recording.csv", "recording.toml", "report.json"}
+        for name in ("recording.csv", "recording.toml"):
+            assert (out / name).read_bytes() == (whole / name).read_bytes()
+        assert main(["export", str(out), "--to", str(tmp_path / "a.stl")]) == 1
+        assert main(["show", str(out), "--html", str(tmp_path / "a.html")]) == 1
+        assert capsys.readouterr().err.count(" ".join(on)) == 2
+        assert main([*go_on, *(FEW if go_on[0] == "scan" else ["--quiet"])]) == 0
+        assert scan3d.open(out).cloud.points.shape == scan3d.open(whole).cloud.points.shape
+        shutil.rmtree(out)
+
+
+def test_an_end_replaces_neither_a_result_nor_files_of_others(tmp_path, no_pictures):
+    out = tmp_path / "out"
+    assert main(["scan", str(CUBE), "--out", str(out), *FEW, "--seed", "7"]) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert ended(signal.SIGINT, out) == "scan3d: interrupted\n"
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    # what was kept counts as the program's own only as long as it is as it was written
+    shutil.rmtree(out)
+    ended(signal.SIGKILL, out)
+    (out / "recording.csv").write_bytes(b"mine")
+    assert main(["scan", str(CUBE), "--out", str(out), *FEW]) == 1
+    assert (out / "recording.csv").read_bytes() == b"mine"
 
 
 def test_libraries_can_not_catch_an_interruption(tmp_path):

@@ -31,7 +31,7 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import against_own_hull
 from scan3d.errors import InputError
 from scan3d.files.text import check_readable, rows_as_text
-from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
+from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, check_finished, folder, locate, read_report
 from scan3d.geometry.hulls import DENT_TOLERANCE
 from scan3d.geometry.triangles import collapsed, distance_of_readers, dot, representatives, spanned, without_unused
 from scan3d.shown import Exported, Rows
@@ -531,6 +531,7 @@ def _read(source: Path, what: str) -> Shape:
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
+        check_finished(source)
         name = f"{what}.ply"
         if not locate(source / name).is_file():
             raise InputError(

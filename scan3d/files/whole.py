@@ -22,6 +22,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +82,24 @@ class Replacement:
         read = {name: sha256(self.folder / name) for name in RECORDING} if self.reads_recording else {}
         data = {**report, "files": names, "sha256": {**read, **self._sha256}}
         self.put(self.kind[-1], to_json(data))
+        del self._sha256[self.kind[-1]]  # a report does not name its own
         with in_a_sentence(self.folder, "--out"):
             _replace(self._work, self.folder)
         return data
+
+    def keep(self, files: Mapping[str, bytes]) -> str:
+        """Let the recording that a scan has just made appear before its result, and say how to go on if the scan is ended.
+
+        It is a result of its own, whose report names nothing else, and which a later run replaces.  An earlier result is not
+        replaced by it, because half of a new one is worth less: then nothing is kept, and nothing said.
+        """
+        is_free = not any((self.folder / name).exists() for name in self.kind) or is_unfinished(self.folder)
+        if "recording" in self.inputs or not is_free:
+            return ""
+        for name, data in files.items():
+            self.put(name, data)
+        self.commit({"schema": SCHEMA, "versions": {"scan3d": version("scan3d")}})
+        return f"the recording is kept: {_how_to_go_on(self.folder)}"
 
     @property
     def reads_recording(self) -> bool:
@@ -351,6 +367,21 @@ def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
         return {name: stated.get(name) for name in data["files"] if name in kind}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
+
+
+def is_unfinished(place: Path) -> bool:
+    """Whether a folder holds the recording of a scan that was ended before its result was there."""
+    return earlier_files(place).keys() == {*RECORDING, REPORT}
+
+
+def check_finished(place: Path) -> None:
+    """Raise InputError, which says how to go on, for the folder of a scan that was ended before its result was there."""
+    if is_unfinished(place):
+        raise InputError(f"the scan in {place} was ended before its result was there; {_how_to_go_on(place)}")
+
+
+def _how_to_go_on(place: Path) -> str:
+    return f"go on with scan3d reconstruct {place / RECORDING[0]} --out {place}"
 
 
 def unchanged(place: Path, kind: Kind = RESULTS) -> set[str]:
