@@ -91,6 +91,8 @@ def scan(
     def record(clock: Clock) -> tuple[Recording, Any]:
         with clock("load"):
             body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit) if is_path else judge_mesh(mesh, hull=chosen.hull)
+        if is_path and (question := unit_question(float(body.extents.max()), plan.unit)):
+            notify(question)
         with clock("simulate"):
             return with_origin(simulate_judged(body, plan), body), body
 
@@ -101,11 +103,7 @@ def scan(
         analysis = analyse(*record(clock), chosen.method, reach=chosen.reach, clock=clock)
         return analysis, report(analysis, settings=settings)
     with replacing(out, inputs=read, overwrite=overwrite) as result:
-        performed = _performed(record, result, settings, chosen.method, None, notify)
-    truth = performed[0].truth
-    if is_path and truth is not None and (question := unit_question(float(truth.extents.max()), plan.unit)):
-        notify(question)
-    return performed
+        return _performed(record, result, settings, chosen.method, None, notify)
 
 
 def reconstruct(

@@ -234,6 +234,20 @@ def test_a_body_too_small_or_too_large_is_asked_about(tmp_path, capsys, size, un
     assert capsys.readouterr().err == question
 
 
+def test_it_is_asked_about_before_the_scan(tmp_path, capsys, monkeypatch):
+    path = save(tmp_path, box(0.04, 0.04, 0.02), "box.stl")
+
+    def begin(*_):
+        assert "did you mean --unit m?" in capsys.readouterr().err
+        raise InputError("the scan begins")
+
+    for place in ("pipeline.simulate_judged", "simulation.scan.simulate"):
+        monkeypatch.setattr(f"scan3d.{place}", begin)
+    for command in ("scan", "simulate"):
+        assert main([command, str(path), "--out", str(tmp_path / "out.csv")]) == 1
+        assert "the scan begins" in capsys.readouterr().err
+
+
 def test_read_mesh_keeps_the_surface_as_it_is(tmp_path):
     mesh = read_mesh(save(tmp_path, letter_l(), "l.stl"))
     assert mesh.is_watertight

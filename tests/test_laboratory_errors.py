@@ -353,3 +353,13 @@ def test_a_quote_that_is_never_closed_is_no_cell(tmp_path):
         import_table(put(tmp_path, rows), data())
     with pytest.raises(InputError, match=r"log\.csv: line"):
         guess_map(tmp_path / "log.csv")
+
+
+def test_a_first_map_that_is_not_completed_says_at_once_all_that_is_open(tmp_path):
+    (tmp_path / "log.csv").write_text("a,b,c,Fx,Fy,d\n" + "0,1,2,0.1,0.2,1\n" * 4)
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "log.csv").text)
+    with pytest.raises(InputError) as caught:
+        read_map(tmp_path / "map.toml")
+    for entry in ("[columns] position", "[columns] moment", "[rod] length_m", "[rod] bending_stiffness_Nm2"):
+        assert entry in str(caught.value)
+    assert "force" not in str(caught.value)

@@ -273,6 +273,8 @@ def simulate_rig(
     if faults is not None and "seed" in options.given():
         faults = dataclasses.replace(faults, seed=plan.seed)
     body = rig.standing(load_mesh(mesh, hull=chosen.hull, unit=plan.unit))
+    if question := unit_question(float(body.extents.max()), plan.unit):
+        output.progress.say(question)
     log = rig.simulate_rig(
         body,
         poses,
@@ -304,8 +306,6 @@ def simulate_rig(
         beside = f", with the map {data['map']}"
     for warning in log.warnings:
         output.progress.say(f"warning: {warning}")
-    if question := unit_question(float(body.extents.max()), plan.unit):
-        say(question)
     text = f"{data['rows']} rows of {data['sweeps']} sweeps, written to {data['log']}{beside}"
     return print_result(output, data, printable(text))
 

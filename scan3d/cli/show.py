@@ -57,7 +57,7 @@ def show(
     movie
         the body as it grows, a .gif
     view
-        what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png
+        what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png, here
     color
         colour of the contacts in a picture or the window (default: force)
     size

@@ -170,11 +170,11 @@ def simulate(
     check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()
     body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit)
+    if question := unit_question(float(body.extents.max()), plan.unit):
+        output.progress.say(question)
     with folder(out.parent):
         recording = simulate_scan(body, plan)
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
-    if question := unit_question(float(body.extents.max()), plan.unit):
-        say(question)
     data = {"recording": str(out), "samples": len(recording), "sweeps": len(np.unique(recording.sweep))}
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
     return print_result(output, data, text)

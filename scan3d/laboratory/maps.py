@@ -160,7 +160,19 @@ def read_map(source: str | Path | Mapping[str, Any] | Map) -> Map:
     return _map(read_section(source, "map", f"; scan3d import RAW --map {name} --guess writes one"))
 
 
+def _check_completed(top: Section) -> None:
+    """Raise InputError that names all that a first map leaves open, if that are several entries."""
+    columns, rod = top.data.get("columns", {}), top.data.get("rod", {})
+    left = [
+        f"[columns] {entry}" for entry, value in columns.items() if re.search(_PLACE, json.dumps(value, default=str))
+    ]
+    left += [f"[rod] {entry}" for entry in ("length_m", "bending_stiffness_Nm2") if rod.get(entry) == 0]
+    if len(left) > 1:
+        raise top.error("", f"a first map leaves open {', '.join(left)}; complete them")
+
+
 def _map(top: Section) -> Map:
+    _check_completed(top)
     layout, ros = _layout(top.section("table")), top.section("ros")
     topics = _topics(ros)
     columns, units, usual = top.section("columns"), top.section("units"), {"time": "s", "angle": "deg"}
@@ -371,6 +383,10 @@ _PREFIX = {
 _WRENCHES = (r"kfexthatk", r"(?:actual|raw|tcp|ft|ati|sensor|o)*(?:f|ft|force|wrench|forcetorque|fexthatk)")
 _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "ry", "rz"), "xyz"))
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
+
+
+# What stands in a first map for a column that was not found.
+_PLACE = r'"\((?:(?:position|force|moment) [xyz]|q[wxyz])\)"'
 
 
 class FirstMap(NamedTuple):
