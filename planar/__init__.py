@@ -95,4 +95,12 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]
+
+
+def __getattr__(name: str) -> str:
+    if name != "__version__":
+        raise AttributeError(f"module 'planar' has no attribute {name!r}")
+    from importlib.metadata import version
+
+    return version("scan3d")

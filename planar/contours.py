@@ -21,15 +21,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array, Index, Mask, ratio
+from planar.plots import Shown, plot_loops
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Points of the loops that are asked for their pieces, of those nearest to a place.
 _NEAREST = 6
@@ -477,8 +481,15 @@ def check_height(lowest: float) -> None:
         )
 
 
-class Contour(ABC):
+class Contour(Shown, ABC):
     """A contour in the plane, in rod lengths."""
+
+    def plot(self, *, axes: Axes | ArrayLike | None = None, **style: Any) -> Any:
+        """The contour in the plane.
+
+        `axes` are matplotlib's, by default new ones; `style` is that of `matplotlib.axes.Axes.plot`.  Returns the axes.
+        """
+        return plot_loops([Outlines([[loop]]).samples for loop in self.loops()], axes, style)
 
     @property
     def is_convex(self) -> bool:
@@ -593,7 +604,7 @@ class Circle(SmoothContour):
         return np.abs(np.hypot(offset[..., 0], offset[..., 1]) - self.radius)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Polygon(Contour):
     """Polygon with `vertices` (n, 2) in rod lengths, in either order: any simple loop.
 
@@ -601,7 +612,10 @@ class Polygon(Contour):
     polygon crosses or touches itself, or has no area.
     """
 
-    vertices: Array = field(repr=False)
+    vertices: Array
+
+    def __repr__(self) -> str:
+        return f"Polygon of {len(self.vertices)} vertices"
 
     def __post_init__(self) -> None:
         vertices = _tidy(_checked_points(self.vertices, "a polygon", "vertices"))
@@ -645,14 +659,16 @@ class _Looped(Contour):
         return False
 
     def path(self) -> Path:
-        raise ValueError("a contour that is swept as loops has no path by its slope")
+        raise ValueError(
+            "only a contour that is known to be convex has a path by its slope: a circle, an ellipse or a polygon"
+        )
 
     def distance(self, points: ArrayLike) -> Array:
         points = np.asarray(points, dtype=float)
         return np.abs(self._outline.nearest(np.zeros(len(points), dtype=np.intp), points).gap)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Curve(_Looped):
     """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not: a periodic cubic spline.
 
@@ -660,7 +676,10 @@ class Curve(_Looped):
     themselves.
     """
 
-    points: Array = field(repr=False)
+    points: Array
+
+    def __repr__(self) -> str:
+        return f"Curve through {len(self.points)} points"
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points, "a curve", "points")

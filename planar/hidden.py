@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions, ratio
 from planar.elastica import piece
-from planar.reconstruction import Contacts, Errors
+from planar.reconstruction import Contacts, Errors, reconstruct
 from planar.sweeping import Phase
 
 # Friction angle, in radians, up to which contacts agree on theirs, and standard deviations of a test on noisy contacts.
@@ -68,20 +68,26 @@ def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) ->
 
 def second_contacts(
     x0: ArrayLike,
-    contacts: Contacts,
+    f0x: ArrayLike,
+    f0y: ArrayLike,
+    m0z: ArrayLike,
     *,
+    contacts: Contacts | None = None,
     friction: ArrayLike | None = None,
     errors: Errors | None = None,
 ) -> Mask:
     """Contacts (n,) of one sweep that can't be those of rods which touch at one place only.
 
-    x0
-        base positions (n,) in the order of the sweep.
+    x0, f0x, f0y, m0z
+        base positions and support reactions (n,) in the order of the sweep, as `planar.reconstruct` takes them.
+    contacts
+        what `planar.reconstruct` makes of them, where that is known already.
     friction
         the coefficient, one number or (n,); None: `constant_friction_angle`, and no test by it where that is unknown.
     errors
         standard deviations of the contacts under noise; None: exact.
     """
+    contacts = reconstruct(x0, f0x, f0y, m0z) if contacts is None else contacts
     beta_error = np.zeros(len(contacts)) if errors is None else errors.friction_angle
     tangential = contacts.phase == Phase.TANGENTIAL
     zeta = (

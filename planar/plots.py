@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import io
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -27,6 +29,28 @@ class Explained(IntEnum):
         return member
 
 
+class Shown:
+    """A result that a notebook shows by what `repr` says of it and, where matplotlib is installed, by its picture."""
+
+    _panels = 1  # axes that its `plot` takes
+
+    def plot(self, *, axes: Any = None) -> Any:
+        """The picture, on matplotlib's axes, by default new ones, which are returned."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        text = f"<p>{html.escape(repr(self))}</p>"
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            return text
+        figure, file = Figure(figsize=(1 + 3 * self._panels, 3), layout="constrained"), io.StringIO()
+        self.plot(axes=figure.subplots(1, self._panels, squeeze=False)[0])
+        figure.savefig(file, format="svg")
+        svg = file.getvalue()
+        return text + svg[svg.index("<svg") :]
+
+
 def words(values: NDArray[np.int8], kinds: type[IntEnum]) -> list[str]:
     """The names (n,) of coded values (n,)."""
     return [kinds(value).name.lower() for value in values.tolist()]
@@ -43,7 +67,9 @@ def to_frame(columns: Mapping[str, Array | Sequence[str]]) -> pandas.DataFrame:
     try:
         import pandas
     except ImportError as error:
-        raise ImportError(f"to_pandas needs pandas, which can't be imported ({error}): pip install pandas") from None
+        raise ImportError(
+            f"to_pandas needs pandas, which can't be imported ({error}): pip install 'scan3d[pandas]'"
+        ) from None
     return pandas.DataFrame(
         {
             name: column
@@ -122,6 +148,15 @@ def plot_points(point: Array, tip: Mask, tangential: Mask, axes: Axes | ArrayLik
     for rows, own, face in ((tip, TIP_COLOR, "none"), (tangential, TANGENTIAL_COLOR, None)):
         drawn = {"color": color or own, "markerfacecolor": face or color or own, "markersize": 3.5, **style}
         panel.plot(*point[rows].T, "o", **drawn)
+    panel.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", aspect="equal")
+    return panel
+
+
+def plot_loops(loops: Sequence[Array], axes: Axes | ArrayLike | None, style: Any) -> Any:
+    """Closed lines through points (n, 2) each."""
+    panel = _panels(1, axes)[0]
+    for points in loops:
+        panel.plot(*np.concatenate([points, points[:1]]).T, **{"color": "black", **style})
     panel.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", aspect="equal")
     return panel
 

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from planar import plots
 from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
 from planar.elastica import bend, bend_with_slopes, piece
-from planar.plots import Explained, counted, to_frame, words
+from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rods import METHODS, Rod, solve
 from planar.sweeping import Phase
 
@@ -73,27 +73,38 @@ _COLUMNS = ("s1", "force", "force_angle", "friction_angle_bound", "friction_angl
 
 
 @dataclass(frozen=True, repr=False)
-class Contacts:
-    """Contacts (n,) recovered from support reactions, dimensionless; NaN where a value is unknown."""
+class Contacts(Shown):
+    """Contacts (n,) recovered from support reactions, dimensionless; NaN where a value is unknown.
+
+    point
+        (n, 2) contact point, in rod lengths.
+    s1
+        (n,) contact along the rod, in rod lengths from the clamp.
+    phase
+        (n,) of `planar.Phase`; NONE where the status is not OK.
+    status
+        (n,) of `Status`.
+    force
+        (n,) contact force f, in EI/L².
+    force_angle
+        (n,) its direction α, in radians: the force on the rod is ``f (sin α, -cos α)``.
+    friction_angle_bound
+        (n,) β (12), in radians: equal to ζ in tangential contact, below it in tip contact.
+    slope
+        (n,) slope angle ``α̃ = α - ζ`` of the contour, in radians.
+    normal_source
+        (n,) of `NormalSource`.
+    """
 
     point: Array
-    """(n, 2) contact point."""
     s1: Array
-    """(n,) contact along the rod."""
     phase: NDArray[np.int8]
-    """(n,) of `planar.Phase`; NONE where the status is not OK."""
     status: NDArray[np.int8]
-    """(n,) of `Status`."""
     force: Array
-    """(n,) contact force f, in EI/L²."""
     force_angle: Array
-    """(n,) its direction α, in radians: the force on the rod is ``f (sin α, -cos α)``."""
     friction_angle_bound: Array
-    """(n,) β (12), in radians: equal to ζ in tangential contact, below it in tip contact."""
     slope: Array
-    """(n,) slope angle ``α̃ = α - ζ`` of the contour, in radians."""
     normal_source: NDArray[np.int8]
-    """(n,) of `NormalSource`."""
 
     def refused(self, rows: Mask, status: Status) -> Contacts:
         """The contacts but those in some rows (n,), which have another status instead and are none."""

@@ -111,23 +111,30 @@ def _frustum(first: Array, last: Array) -> Array:
 class Rod:
     """A rod in a plane, dimensionless; without arguments the straight, uniform, weightless rod in a rigid clamp.
 
+    tip_diameter
+        Diameter at the tip of a cone, relative to that at the clamp.
+    stiffness
+        Rows (n, 2) of arc length ``s``, rising from 0 to 1, and bending stiffness over that at the clamp; None: that of the
+        cone.  Between the rows the fourth root, a round rod's diameter, is linear.
+    curvature
+        Curvature ``κ̂`` of the free rod, in ``1/L``; positive where it turns against the sweep in -x, counter-clockwise.
+    weight
+        Weight of the whole rod in ``EI(0)/L²``, spread as the square of the diameter.
+    gravity
+        Direction of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight: one
+        (2,), or one for each row that is reconstructed, or for each of many sweeps, (n, 2).
+    compliance
+        Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment.
+
     Raises ValueError for numbers that belong to no rod.
     """
 
     tip_diameter: float = 1.0
-    """Diameter at the tip of a cone, relative to that at the clamp."""
     stiffness: ArrayLike | None = None
-    """Rows (n, 2) of arc length ``s``, rising from 0 to 1, and bending stiffness over that at the clamp; None: that of the
-    cone.  Between the rows the fourth root, a round rod's diameter, is linear."""
     curvature: float = 0.0
-    """Curvature ``κ̂`` of the free rod, in ``1/L``; positive where it turns against the sweep in -x, counter-clockwise."""
     weight: float = 0.0
-    """Weight of the whole rod in ``EI(0)/L²``, spread as the square of the diameter."""
     gravity: ArrayLike | None = None
-    """Direction of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight:
-    one (2,), or one for each row that is reconstructed, or for each of many sweeps, (n, 2)."""
     compliance: float = 0.0
-    """Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment."""
     profile: Profile = field(init=False, repr=False, compare=False)
     down: Array = field(init=False, repr=False, compare=False)
     """Unit vectors of gravity, (2,) or (n, 2); 0 without weight."""
@@ -137,7 +144,9 @@ class Rod:
         if self.stiffness is not None:
             table = np.asarray(self.stiffness, dtype=float)
             if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2:
-                raise ValueError(f"stiffness must have rows of s and stiffness, shape (n >= 2, 2), got {table.shape}")
+                raise ValueError(
+                    f"stiffness must have rows of s and stiffness, such as [[0, 1], [1, 0.2]], got shape {table.shape}"
+                )
             if self.tip_diameter != 1.0:
                 raise ValueError("a rod has either a tip_diameter or a table of its stiffness, got both")
             knots, relative = table.T

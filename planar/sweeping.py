@@ -22,7 +22,7 @@ from planar import plots, segments
 from planar.any_body import SweepStatus, follow, last_contacts
 from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
-from planar.plots import Explained, counted, to_frame, words
+from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
 from planar.rods import Rod
 from planar.segments import UNIFORM, Equilibria, Segments, Tables, cut_intervals
@@ -56,13 +56,14 @@ contour, whose outward normal is ``(sin α̃, -cos α̃)``."""
 
 
 @dataclass(frozen=True, repr=False)
-class Sweep:
+class Sweep(Shown):
     """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch.
 
     Where it touches at several places (`status`), point, slope, s1 and phase are those of the first along the rod, and
     `contacts` has all of them.
     """
 
+    _panels = 3
     x0: Array
     """(n,) base positions."""
     f0x: Array

@@ -460,6 +460,17 @@ class Result(Shown):
         return dataclasses.replace(scene, truth=load_mesh(mesh, hull=hull, unit=scene.unit))
 
 
+class Scanned(Result):
+    """The results of a scan of a mesh, with which the surface was compared."""
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """The distances between the surface and the mesh."""
+        found = super().comparison
+        assert found is not None
+        return found
+
+
 @shows_settings
 def scan(
     mesh: str | os.PathLike[str] | trimesh.Trimesh,
@@ -468,7 +479,7 @@ def scan(
     overwrite: bool = False,
     progress: Progress | None = None,
     **settings: Unpack[Given],
-) -> Result:
+) -> Scanned:
     """Scan a body: simulate its recording, reconstruct contacts and surface, certify and compare them.
 
     mesh
@@ -489,7 +500,7 @@ def scan(
     place = None if out is None else Path(out)
     with counted(progress):
         analysis, data = pipeline.scan(mesh, chosen, place, overwrite=overwrite)
-    return Result(data, analysis)
+    return Scanned(data, analysis)
 
 
 def open(folder: str | os.PathLike[str]) -> Result:

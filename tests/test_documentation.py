@@ -6,6 +6,8 @@
 import json
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -94,6 +96,18 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "Workers", Threads)
     monkeypatch.setattr(canvas, "can_render", lambda: False)
     monkeypatch.setattr(drawing, "draw", drawing._pictures)
+
+
+@pytest.mark.slow
+def test_the_code_of_all_pages_is_right_for_a_strict_type_checker(tmp_path: Path) -> None:
+    """Against mypy: the blocks of a page together, as they run, those of the README one by one."""
+    for page in CODE:
+        found = blocks(page.read_text(encoding="utf-8"), "python")
+        for number, code in enumerate(found if page.name == "README.md" else ["\n".join(found)]):
+            (tmp_path / f"{page.stem}_{number}.py").write_text(code, encoding="utf-8")
+    command = [sys.executable, "-m", "mypy", *map(str, tmp_path.iterdir())]  # strict by pyproject.toml
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
 
 
 @pytest.mark.slow

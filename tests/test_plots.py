@@ -1,5 +1,10 @@
 """Pictures, tables and short descriptions of sweeps, contacts, events and elastic lines."""
 
+import dataclasses
+import inspect
+import re
+import sys
+
 import matplotlib
 import numpy as np
 import pytest
@@ -64,3 +69,40 @@ def test_tables_have_words_and_no_empty_columns():
     assert {"friction", "slope", "nx"} & set(tips.columns) == set()
     assert "friction" in planar.sweep(CIRCLE, base=[]).to_pandas()
     assert list(EVENTS.to_pandas()["kind"]) == ["touch_down", "to_tangential", "to_tip", "snap_off"]
+
+
+@pytest.mark.parametrize(
+    "contour",
+    [
+        planar.Circle(radius=0.3, center=(0.0, 1.0)),
+        planar.Ellipse(semi_axes=(0.4, 0.2), center=(0.1, 1.0), angle=0.5),
+        planar.Polygon([[0.0, 0.6], [0.4, 0.7], [0.1, 1.0]]),
+        planar.Contours([planar.Circle(0.1, (0.0, 0.7)), planar.Circle(0.1, (0.5, 0.7))]),
+    ],
+    ids=lambda contour: type(contour).__name__,
+)
+def test_a_contour_is_drawn_where_it_is(contour):
+    lines = contour.plot(axes=Figure().subplots()).lines
+    assert len(lines) == len(contour.loops())
+    for line in lines:
+        assert contour.distance(line.get_xydata()).max() < 1e-12
+        assert (line.get_xydata()[0] == line.get_xydata()[-1]).all()
+
+
+def test_a_notebook_shows_results_short_and_with_a_picture_where_that_can_be_drawn(monkeypatch):
+    contour = planar.Polygon([[0.0, 0.6], [0.4, 0.7], [0.1, 1.0]])
+    sweep = planar.sweep(contour, samples=20)
+    shown = [contour, sweep, planar.reconstruct(*sweep.reactions)]
+    for result in shown:
+        assert len(repr(result)) < 80
+        assert result._repr_html_().startswith(f"<p>{result!r}</p><svg")
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    for result in shown:
+        assert result._repr_html_() == f"<p>{result!r}</p>"
+
+
+@pytest.mark.parametrize("kind", [planar.Rod, planar.Contacts])
+def test_help_tells_what_each_field_means(kind):
+    told = inspect.getdoc(kind)
+    for field in dataclasses.fields(kind):
+        assert not field.init or re.search(rf"^{field.name}\n    \S", told, flags=re.MULTILINE)

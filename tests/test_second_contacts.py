@@ -48,7 +48,7 @@ def test_friction_reveals_a_second_contact(friction):
     """
     columns = among_single_contacts(RUBBING)
     found = planar.reconstruct(*columns)
-    second = second_contacts(columns[0], found, friction=friction)
+    second = second_contacts(*columns, contacts=found, friction=friction)
     assert found.status[80] == Status.INFLECTION
     assert np.flatnonzero(second).tolist() == [79, 81]
     kept = found.refused(second, Status.SECOND_CONTACT)
@@ -67,7 +67,7 @@ def test_a_single_contact_is_not_taken_for_two_under_noise():
     found = planar.reconstruct(*columns, tolerance=np.minimum(4 * np.nan_to_num(errors.s1, nan=0.2, posinf=0.2), 0.2))
     assert abs(constant_friction_angle(found, errors) - ZETA) < 5e-3
     for friction in (None, 0.3):
-        assert second_contacts(columns[0], found, friction=friction, errors=errors).sum() <= 2
+        assert second_contacts(*columns, contacts=found, friction=friction, errors=errors).sum() <= 2
 
 
 def test_friction_that_varies_is_not_taken_for_constant():
@@ -76,19 +76,23 @@ def test_friction_that_varies_is_not_taken_for_constant():
     swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), rng.uniform(0, 0.4, 60), base=base)
     found = planar.reconstruct(*swept.reactions)
     assert np.isnan(constant_friction_angle(found))
-    assert not second_contacts(swept.x0, found).any()
+    assert not second_contacts(*swept.reactions, contacts=found).any()
 
 
 def test_a_contact_that_leaves_the_rods_line_is_not_single():
     """Without friction a row alone does not tell; a contact that moves across the rod does."""
     swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.0, samples=120)
     found = planar.reconstruct(*swept.reactions)
-    assert not second_contacts(swept.x0, found).any()
+    assert not second_contacts(*swept.reactions, contacts=found).any()
     shifted = found.point.copy()
     middle = int(np.flatnonzero(found.phase == Phase.TANGENTIAL)[20])
     shifted[middle] += 0.003 * found.normal[middle]
     moved = planar.Contacts(**{**vars(found), "point": shifted})
-    assert np.flatnonzero(second_contacts(swept.x0, moved)).tolist() == [middle - 1, middle, middle + 1]
+    assert np.flatnonzero(second_contacts(*swept.reactions, contacts=moved)).tolist() == [
+        middle - 1,
+        middle,
+        middle + 1,
+    ]
 
 
 @pytest.mark.parametrize("name", ["peanut", "peanut with friction", "star"])
@@ -173,7 +177,10 @@ def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
     contacts = [planar.reconstruct(*reactions) for reactions in columns]
     friction = np.tan(constant_friction_angle(contacts[0]))
     assert friction == pytest.approx(0.3, abs=1e-9)
-    second = [second_contacts(one.x0, found, friction=friction) for one, found in zip(swept, contacts, strict=True)]
+    second = [
+        second_contacts(*one.reactions, contacts=found, friction=friction)
+        for one, found in zip(swept, contacts, strict=True)
+    ]
     places = [
         (found.point[(found.phase == Phase.TANGENTIAL) & ~rows] - shift) @ turn
         for found, rows, turn, shift in zip(contacts, second, turns, shifts, strict=True)

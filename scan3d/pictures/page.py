@@ -53,8 +53,8 @@ def page(scene: Scene) -> bytes:
     # sentences are shown when they are asked for
     heading = [row for row in scene.key_figures if row[0] == "scan"]
     premises = [row for row in scene.key_figures if row[0] in ("assumed", "tested")]
-    shown = "".join(f"<p class=headline>{html.escape(sentence)}</p>" for _, sentence in heading)
-    shown += _table([row for row in scene.key_figures if row not in (*heading, *premises)])
+    headline = "".join(html.escape(sentence) for _, sentence in heading)
+    shown = _table([row for row in scene.key_figures if row not in (*heading, *premises)])
     if premises:
         shown += f"<details><summary>what this assumes</summary>{_table(premises)}</details>"
     # "</script>" within the data would end the script element that contains them
@@ -64,7 +64,13 @@ def page(scene: Scene) -> bytes:
     script = '"use strict";\n' + "".join(parts_of_script)
     # the browser runs the script with this hash and no other
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": shown, "DATA": text, "STYLE": _part("page.css")}
+    filled = {
+        "NAME": html.escape(scene.name),
+        "HEADLINE": headline,
+        "KEYFIGURES": shown,
+        "DATA": text,
+        "STYLE": _part("page.css"),
+    }
     filled |= {"SCRIPT": script, "HASH": f"sha256-{digest}"}
     # in one pass, as what is filled in may contain the text of a placeholder
     return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], _part("page.html")).encode(errors="replace")
@@ -146,7 +152,8 @@ def _strips(name: str, lines: list[Array], center: Array, color: str, width: flo
 def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
     """Values (n,) with their scale of colours, of which the page interpolates 33, or with their kinds.
 
-    The histogram of values by their weights (n,) has 32 bins of equal length on the scale.
+    The histogram of values by their weights (n,) has 32 bins of equal length on the scale.  Half of them, and 95 %, are below
+    the quantiles, in size where the scale is symmetric.
     """
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
@@ -167,7 +174,7 @@ def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
         "log": type(shaded.norm).__name__ == "LogNorm",
         "stops": stops,
         "shares": shares.tolist(),
-        "quantiles": weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
+        "quantiles": weighted_quantiles(np.abs(shown), counts, (0.5, 0.95)).tolist(),
         "unknown": float(weights[~known].sum() / weights.sum()),
     }
 

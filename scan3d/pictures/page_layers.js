@@ -47,28 +47,46 @@ function dotted(place, color, text) {  // a line of a legend
   add(row, "span", "dot").style.background = color; row.append(text);
 }
 
-function legend(place, layer) {
-  const {scale} = layer, what = layer.faces ? "of the area" : "of the contacts";
-  place.replaceChildren();
-  if (!scale) return;
+const whatOf = layer => layer.faces ? "of the area" : "of the contacts";
+const valueAt = ({low, high, log}, t) => log ? low * (high / low) ** t : low + t * (high - low);
+
+function key(place, layer) {  // what the colours mean
+  const {scale} = layer;
   if (scale.kinds) {
-    for (const [text, color, size] of scale.kinds) dotted(place, color, `${text}: ${percent(size)} ${what}`);
+    for (const [text, color, size] of scale.kinds) dotted(place, color, `${text}: ${percent(size)} ${whatOf(layer)}`);
     return;
   }
+  add(place, "div", "bar").style.background = "linear-gradient(to right," + scale.stops.join() + ")";
+  const ends = add(place, "div", "ends");
+  for (const t of scale.log ? [0, 1] : [0, 0.5, 1]) add(ends, "span", "", number(valueAt(scale, t)));
+}
+
+function brief(layer) {  // what is to be seen without the panel
+  const place = byId("brief");
+  place.replaceChildren();
+  if (!layer.scale) return;
+  add(place, "div", "", layer.scale.title); key(place, layer);
+}
+
+function legend(place, layer) {
+  const {scale} = layer, what = whatOf(layer);
+  place.replaceChildren();
+  if (!scale) return;
+  if (scale.kinds) { key(place, layer); return; }
   const {shares, quantiles, unknown} = scale, most = Math.max(...shares), bars = add(place, "div", "histogram");
-  const text = `5 %, 50 % and 95 % ${what} are below ${quantiles.map(value => valueOf(scale, value)).join(", ")}`;
+  const unit = scale.title.match(/ in \S+$/)?.[0].slice(3) ?? "", than = scale.low < 0 ? "within ±" : "below ";
+  const [half, nearly] = quantiles.map(value => `${valueOf(scale, value)} ${unit}`.trim());
+  const text = `half ${what} is ${than}${half}, 95 % ${than}${nearly}`;
   bars.setAttribute("role", "img"); bars.setAttribute("aria-label", `histogram of ${scale.title}: ${text}`);
-  const {low, high, log} = scale, value = t => log ? low * (high / low) ** t : low + t * (high - low);
+  const value = t => valueAt(scale, t);
   shares.forEach((share, k) => {
     const bar = add(bars, "span", "");
     bar.style.height = 100 * share / most + "%"; bar.dataset.share = share;
     bar.title = `${[k, k + 1].map(edge => number(value(edge / shares.length))).join(" to ")}: ${percent(share)} ${what}`;
   });
-  add(place, "div", "bar").style.background = "linear-gradient(to right," + scale.stops.join() + ")";
-  const ends = add(place, "div", "ends");
-  for (const t of log ? [0, 1] : [0, 0.5, 1]) add(ends, "span", "", number(value(t)));
+  key(place, layer);
   const grey = unknown ? `; unknown (grey): ${percent(unknown)}` : "";
-  add(place, "div", "note", `${text}${grey}; highest bar ${percent(most)}`);
+  add(place, "div", "note", text + grey);
 }
 
 function box(name, on, change) {
@@ -80,7 +98,8 @@ function box(name, on, change) {
 }
 
 function controls() {
-  const place = byId("layers");
+  const place = byId("layers"), first = data.layers.find(layer => layer.scale);
+  if (first) brief(first);
   for (const layer of data.layers) {
     box(layer.name, !!layer.on, on => { layer.on = on; });
     if (!layer.scale) continue;
@@ -90,6 +109,7 @@ function controls() {
     choice.onchange = () => {
       layer.scale = layer.colors[choice.selectedIndex];
       paint(layer); legend(key, layer); redraw();
+      if (layer === first) brief(layer);
     };
     legend(key, layer);
   }

@@ -85,7 +85,7 @@ function listen() {
     if (untouched()) reset();  // to the new space
     else redraw();
   };
-  panel.ontoggle = window.onresize = arrange;
+  panel.ontoggle = window.onresize = matchMedia("(prefers-color-scheme: dark)").onchange = arrange;
   arrange();
   if (!player) return;
   byId("play").onclick = () => play();
@@ -102,7 +102,10 @@ panel.open = window.innerWidth > narrow && window.innerHeight > 500;
 if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();
-  controls(); listen(); draw();
+  controls();
+  byId("figures").open = true;  // where they fit
+  byId("figures").open = panel.scrollHeight <= panel.clientHeight;
+  listen(); draw();
   if (player) switchPlayer(true);
 } else {
   picked.hidden = false; picked.textContent = "This browser does not support WebGL 2, which this page needs.";

@@ -56,6 +56,7 @@ function lookAtSweep() {  // from its side, with the body and the clamps of this
     if (k % 3 < 2) { low[k % 3] = Math.min(low[k % 3], value - margin); high[k % 3] = Math.max(high[k % 3], value + margin); }
   });
   include(data.layers[0].points, 0); include(player.position.subarray(...range), clamp);
+  include(rodAt(player.sample).points.flat(), 0);
   const zoom = 0.94 * Math.min(view.wide / (high[0] - low[0]), view.high / (high[1] - low[1]));
   eye.zoom *= zoom; eye.x = zoom * (view.x - (low[0] + high[0]) / 2); eye.y = zoom * ((low[1] + high[1]) / 2 - view.y);
 }

@@ -99,7 +99,7 @@ function turned() {  // columns of a mat3: the world's axes as the viewer sees t
 
 function measures() {  // of the space beside panel and player, in CSS pixels; `unit` of them are one unit of length
   const w = canvas.clientWidth, h = canvas.clientHeight, beside = w > narrow;
-  const left = panel.open && beside ? panel.offsetWidth + 20 : 0, top = beside ? 0 : 52;
+  const left = beside ? panel.offsetWidth + 20 : 0, top = beside ? 0 : panel.offsetTop + panel.offsetHeight;
   const bottom = dock.hidden ? 0 : dock.offsetHeight + 16;
   const wide = Math.max(40, w - left), high = Math.max(40, h - top - bottom);
   const unit = eye.zoom * 0.94 * Math.min(wide, high) / (2 * data.radius);

@@ -272,6 +272,9 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     """The surface, and the colours of its vertices by how well they are known, the deviation from the truth and the bound: by
     those that are said.
 
+    Deviation and bound are in one unit.  Where both are known, a deviation within the largest bound is pale, and colours are
+    those of a fault only beyond.
+
     A body with few vertices, such as a cube, may show one bound everywhere: bounds are known at vertices only, and that of a
     vertex is the largest of the facets around it.
     """
@@ -280,14 +283,17 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     if known is not None:  # patches that no rod has reached are seen at once
         kinds = ("known", BODY), ("estimated", ESTIMATED), ("unknown", TANGENTIAL)
         shades.append(shade_kinds(2 - known, "known or not", *kinds))
-    if deviation is not None:
-        values, unit = shown_lengths(deviation, scene.unit)
+    bounds = bound if scene.bound is not None and bound is not None else np.empty(0)
+    off = np.empty(0) if deviation is None else deviation
+    values, unit = shown_lengths(np.concatenate([off, bounds]), scene.unit)
+    off, bounds = np.split(values, [len(off)])
+    widest = largest_known(bounds)
+    if len(off):
         # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation
-        largest = max(float(np.abs(values).max()), 1.0 if unit == "nm" else 0.0)
-        shades.append(shade(values, f"{scene.deviation_title} in {unit}", -largest, largest, map="RdBu_r"))
-    if scene.bound is not None and bound is not None and np.isfinite(bound).any():
-        values, unit = shown_lengths(bound, scene.unit)
-        shades.append(shade(values, f"{scene.bound_title} in {unit}", 0.0, largest_known(values) or 1.0, map="YlGnBu"))
+        largest = 2 * widest or max(float(np.abs(off).max()), 1.0 if unit == "nm" else 0.0)
+        shades.append(shade(off, f"{scene.deviation_title} in {unit}", -largest, largest, map="RdBu_r"))
+    if np.isfinite(bounds).any():
+        shades.append(shade(bounds, f"{scene.bound_title} in {unit}", 0.0, widest or 1.0, map="YlGnBu"))
     return mesh, shades
 
 

@@ -96,7 +96,8 @@ class _Rows:
             if len(rows):
                 # without a friction that the contacts agree on this is NaN, and nothing is told by it
                 found, errors = _of(self.found, rows), _of_errors(self.errors, rows)
-                refused[rows] = planar.second_contacts(self.columns[0][rows], found, friction=friction, errors=errors)
+                columns = (column[rows] for column in self.columns)
+                refused[rows] = planar.second_contacts(*columns, contacts=found, friction=friction, errors=errors)
         return refused
 
     def alone(self) -> Mask:

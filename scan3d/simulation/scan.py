@@ -579,6 +579,8 @@ def simulate_spatial(mesh: Any, plan: Plan) -> Recording:
     body, middle = rounded_body(mesh, length, rod.diameter_m / metres / 2)
     points = (vertices - middle) / length
     per_direction = plan.sweeps or max(2, round(0.4 * plan.slices))
+    rounds = 5  # in which the aimed sweeps are made
+    tell("rounds", 0, 1 + rounds)
     swept = _sweep_in_space(body, rasters(points, per_direction, plan.clearance), plan, 0)
     if not swept:
         raise InputError(
@@ -586,7 +588,6 @@ def simulate_spatial(mesh: Any, plan: Plan) -> Recording:
         )
     generator = np.random.default_rng([plan.seed, 2])
     # with these, a scan in space has at most one and a half times as many samples as a planar one
-    rounds = 5  # in which the aimed sweeps are made
     further = 0 if plan.sweeps else round(3.5 * 12 * per_direction / rounds)
     for number in range(rounds if further else 0):
         contacts, normals = (
