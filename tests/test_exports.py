@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import other_programs
 import pytest
+import pyvista
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
 
@@ -313,3 +314,85 @@ def test_the_command_says_what_it_wrote_and_passes_its_options_on(gaps, capsys):
     assert "unit m" in comments
     assert main([*call, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
+
+
+# --- less of a surface ---
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory):
+    """The folder of a torus about z = 4, of radii 12 and 4 mm, as a scan's surface."""
+    place, body = tmp_path_factory.mktemp("ring"), trimesh.creation.torus(12, 4, major_sections=96, minor_sections=48)
+    body.apply_translation([0, 0, 4])
+    body.vertex_attributes["known"] = np.arange(len(body.vertices)) % 3
+    bound = np.linspace(0.1, 0.2, len(body.vertices))
+    (place / "surface.ply").write_bytes(ply(surface_table(body, bound), body.faces, ("unit mm",)))
+    return place
+
+
+def test_meshlab_has_the_bound_as_the_quality_of_a_surface(ring, tmp_path):
+    export(ring, tmp_path / "a.ply")
+    assert np.array_equal(
+        read_shape(tmp_path / "a.ply").columns["quality"], read_shape(ring / "surface.ply").columns["bound"]
+    )
+
+
+@pytest.mark.parametrize("far", [{"faces": 1000}, {"error": 0.3}, {"error": 0.03, "unit": "cm"}])
+def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_path, call, far):
+    options = [word for name, value in far.items() for word in (f"--{name}", value)]
+    assert call("export", ring, "--to", tmp_path / "a.ply", *options)[0] == 0
+    before, after = (read_shape(path) for path in (ring / "surface.ply", tmp_path / "a.ply"))
+    mesh = trimesh.Trimesh(after.points, after.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.euler_number == 0
+    assert 100 < len(after.faces) <= far.get("faces", len(before.faces) // 2)
+    # vertices of before, with what was known there
+    scale = 0.1 if "unit" in far else 1.0
+    place = {tuple(point): k for k, point in enumerate(np.round(scale * before.points, 9).tolist())}
+    rows = [place[tuple(point)] for point in np.round(after.points, 9).tolist()]
+    assert np.array_equal(after.columns["known"], before.columns["known"][rows])
+    assert after.columns["bound"] == pytest.approx(scale * before.columns["bound"][rows], rel=1e-6)
+    if "error" in far:
+        foot = pyvista.wrap(mesh).find_closest_cell(scale * before.points, return_closest_point=True)[1]
+        assert np.linalg.norm(foot - scale * before.points, axis=1).max() <= far["error"] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("plane", "radii"), [("z=4", (8, 16)), ("z=6", (12 - 12**0.5, 12 + 12**0.5)), ("x=0", (4, 4))])
+def test_a_section_has_every_curve_of_the_plane(ring, tmp_path, call, plane, radii):
+    for ending in ("csv", "dxf"):
+        assert call("export", ring, "--to", tmp_path / f"a.{ending}", "--section", plane)[0] == 0
+    rows = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)
+    points = np.stack([rows[name] for name in ("x_mm", "y_mm", "z_mm")], axis=1)
+    axis = "xyz".index(plane[0])
+    assert points[:, axis] == pytest.approx(float(plane[2:]), abs=1e-9)
+    curves = [points[rows["curve"] == k] for k in np.unique(rows["curve"])]
+    centres = np.array([curve.mean(axis=0) if axis == 0 else [0, 0, float(plane[2:])] for curve in curves])
+    found = sorted(np.linalg.norm(curve - centre, axis=1).mean() for curve, centre in zip(curves, centres, strict=True))
+    assert found == pytest.approx(sorted(radii), abs=0.03)
+    # the pairs of code and value that DXF consists of: the same curves, closed
+    lines = (tmp_path / "a.dxf").read_text().splitlines()
+    pairs = list(zip(map(int, lines[::2]), lines[1::2], strict=True))
+    assert pairs.count((0, "POLYLINE")) == pairs.count((0, "SEQEND")) == len(curves)
+    vertices = [k for k, pair in enumerate(pairs) if pair == (0, "VERTEX")]
+    assert [[float(value) for _, value in pairs[k + 2 : k + 5]] for k in vertices] == points.tolist()
+    assert pairs[-1] == (0, "EOF")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--to", "a.dxf", "--section", "w=3"], "a section is an axis and a height in mm, such as z=12.5; got 'w=3'"),
+        (["--to", "a.dxf", "--section", "z=1.2.3"], "such as z=12.5"),
+        (["--to", "a.dxf", "--section", "z=99"], "the plane z=99 misses the surface, which is from 0 to 8 mm"),
+        (["--to", "a.stl", "--section", "z=4"], "a section is written as .dxf or .csv"),
+        (["--to", "a.stl", "--section", "z=4", "--faces", "9"], "--section is of the whole surface"),
+        (["--to", "a.stl", "--faces", "9", "--error", "1"], "leave one of them out"),
+        (["--to", "a.stl", "--faces", "3"], "at least 4 faces"),
+    ],
+)
+def test_what_is_no_part_of_a_surface_is_refused(ring, tmp_path, call, monkeypatch, options, sentence):
+    monkeypatch.chdir(tmp_path)
+    code, _, stderr = call("export", ring, *options)
+    assert code > 0
+    assert sentence in stderr
+    assert not list(tmp_path.iterdir())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any
@@ -329,18 +330,24 @@ def export(
     to: File,
     what: Export | None = None,
     unit: Unit | None = None,
+    faces: Number | None = None,
+    error: float | None = None,
+    section: Annotated[str | None, Parameter(metavar="AXIS=HEIGHT")] = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
     """Write the cloud or the surface in another format.
 
     Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv and .glb, surfaces to .stl, .ply, .obj, .vtp and .glb. Unit,
-    frame, normals and scalars are kept where the format can contain them. .glb is in metres, with y up.
+    frame, normals and scalars are kept where the format can contain them. .glb is in metres, with y up. ParaView
+    and PyVista read bound and known from .vtp and .glb, not from .ply. A --section goes to .dxf and .csv.
 
     For example:
       scan3d export out --to egg.glb
       scan3d export out --to egg.vtp --what cloud
       scan3d export out/cloud.ply --to egg.pcd --unit m
+      scan3d export out --to egg.stl --faces 5000
+      scan3d export out --to rim.dxf --section z=12.5
 
     Parameters
     ----------
@@ -352,10 +359,26 @@ def export(
         which, for .ply, .vtp and .glb (default: surface, unless DIR is a file with a cloud)
     unit
         unit of the lengths in the file, such as m for ROS (default: the recording's)
+    faces
+        leave the surface at most so many triangles
+    error
+        leave the surface as few triangles as are within this distance of it
+    section
+        the curves in which a plane such as z=12.5 cuts the surface, as a .dxf or .csv
     """
+    from scan3d.files.reduced import decimated, export_section
     from scan3d.files.shapes import export as export_shape
 
-    written = export_shape(source, to, what, unit=unit, overwrite=overwrite)
+    if section is not None:
+        if what == "cloud" or faces is not None or error is not None:
+            raise UsageError("--section is of the whole surface; leave --what, --faces and --error out")
+        written = export_section(source, to, section, unit=unit, overwrite=overwrite)
+        text = f"{written['curves']} curves with {written['points']} points in {written['unit']}, written to {written['file']}"
+        return print_result(output, written, printable(text))
+    if faces is not None and error is not None:
+        raise UsageError("--faces and --error are two ways to say how far; leave one of them out")
+    reduced = {} if faces is None and error is None else {"changed": partial(decimated, faces=faces, error=error)}
+    written = export_shape(source, to, what, unit=unit, overwrite=overwrite, **reduced)
     shape = f"{written['points']} contacts"
     if written["what"] == "surface":
         shape = f"a surface of {written['points']} vertices and {written['faces']} faces"

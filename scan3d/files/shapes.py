@@ -374,6 +374,7 @@ def export(
     *,
     unit: str | None = None,
     overwrite: bool = False,
+    changed: Callable[[Shape], Shape] = lambda shape: shape,
 ) -> dict[str, Any]:
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
 
@@ -382,6 +383,8 @@ def export(
         default is the surface, unless `source` is a cloud.
     unit
         of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB is in metres.
+    changed
+        makes what is written of what was read, in that unit, such as `files.reduced.decimated`.
 
     Returns what was written, as plain values.  Raises InputError for unknown endings and sources, for sources that cannot be
     written in the format, for units that it does not have, for missing normals that it needs, and if `to` is part of a scan's
@@ -392,13 +395,13 @@ def export(
     contents = _contents(ending, what)
     if ending == _METRES and unit not in (None, "m"):
         raise InputError(f"{ending} is in metres by its specification, and can't be in {unit}; leave the unit out")
-    shape = _read(source, contents[0])
+    shape = read_part(source, contents[0])
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{one_of(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
-    return write_shape(in_unit(shape, unit), to, {"source": source}, contents, overwrite=overwrite)
+    return write_shape(changed(in_unit(shape, unit)), to, {"source": source}, contents, overwrite=overwrite)
 
 
 def write_shape(
@@ -527,7 +530,8 @@ def _contents(ending: str, what: str | None) -> list[str]:
     return [what]
 
 
-def _read(source: Path, what: str) -> Shape:
+def read_part(source: Path, what: str) -> Shape:
+    """The cloud or the surface of a scan's folder, or what a PLY file holds."""
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
@@ -607,7 +611,7 @@ def to_polydata(shape: Shape) -> Any:
 
 
 _WRITERS: dict[str, Callable[[Shape], bytes]] = {
-    ".ply": lambda shape: ply(shape.rows, shape.faces, shape.remarks),
+    ".ply": lambda shape: ply(_with_quality(shape), shape.faces, shape.remarks),
     ".pcd": _pcd,
     ".xyz": lambda shape: rows_as_text(_columns(shape, POINT), " "),
     ".xyzn": lambda shape: rows_as_text(_columns(shape, POINT + NORMAL), " "),
@@ -616,6 +620,15 @@ _WRITERS: dict[str, Callable[[Shape], bytes]] = {
     ".obj": _obj,
     ".glb": lambda shape: glb(shape),
 }
+
+
+def _with_quality(shape: Shape) -> NDArray[Any]:
+    """The rows of a shape, those of a surface with its bound, or how well it is known, as the quality that MeshLab shows."""
+    columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    scalar = columns.get("bound", columns.get("known"))
+    if shape.faces is None or scalar is None or "quality" in columns:
+        return shape.rows
+    return table(columns | {"quality": scalar.astype(np.float32)})
 
 
 def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
