@@ -383,7 +383,7 @@ def test_a_section_has_every_curve_of_the_plane(ring, tmp_path, call, plane, rad
     [
         (["--to", "a.dxf", "--section", "w=3"], "a section is an axis and a height in mm, such as z=12.5; got 'w=3'"),
         (["--to", "a.dxf", "--section", "z=1.2.3"], "such as z=12.5"),
-        (["--to", "a.dxf", "--section", "z=99"], "the plane z=99 misses the surface, which is from 0 to 8 mm"),
+        (["--to", "a.dxf", "--section", "z=99"], "the plane z=99 misses the surface, which is from 0 to 8"),
         (["--to", "a.stl", "--section", "z=4"], "a section is written as .dxf or .csv"),
         (["--to", "a.stl", "--section", "z=4", "--faces", "9"], "--section is of the whole surface"),
         (["--to", "a.stl", "--faces", "9", "--error", "1"], "leave one of them out"),

@@ -22,6 +22,7 @@ from scan3d.files.whole import atomic, check_file, folder
 from scan3d.geometry.distance import Search
 from scan3d.geometry.sections import slice_frame
 from scan3d.geometry.triangles import longest_first
+from scan3d.units import length, number
 
 CURVES = (".dxf", ".csv")
 """The formats of cross-sections."""
@@ -73,7 +74,9 @@ def cross_section(shape: Shape, plane: str) -> list[Array]:
     loops = _solid(shape.points @ frame.T, shape.faces).slice(height).to_polygons()
     if not loops:
         low, high = (float(end(shape.rows[name])) for end in (np.min, np.max))
-        raise InputError(f"the plane {plane} misses the surface, which is from {low:.6g} to {high:.6g} {shape.unit}")
+        raise InputError(
+            f"the plane {plane} misses the surface, which is from {number(low)} to {length(high, shape.unit)}"
+        )
     return [np.column_stack([loop, np.full(len(loop), height)]) @ frame for loop in loops]
 
 
