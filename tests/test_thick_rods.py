@@ -105,7 +105,7 @@ def with_friction_on_the_surface(log, body):
     angle = np.arctan(kept.friction)
     state = tangential(slope, x, y, angle)
     good = np.isfinite(state.x0) & (state.s1 + lever < 1) & (state.q > 0)
-    force, direction = state.root_f**2, slope + angle
+    force, direction = state.force, slope + angle
     rod = log.rod
     columns = {
         name: getattr(log, name).copy() for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
@@ -114,7 +114,7 @@ def with_friction_on_the_surface(log, body):
     columns["force_N"][rows] = rod.force_unit_N * np.stack(
         [-force * np.sin(direction), force * np.cos(direction)], axis=1
     )
-    columns["moment_Nm"][rows] = 2 * state.q * state.root_f * rod.moment_unit_Nm
+    columns["moment_Nm"][rows] = state.m0z * rod.moment_unit_Nm
     moved = replace(log, **{name: np.delete(column, rows[~good], axis=0) for name, column in columns.items()})
     return moved, radius, (state, slope, angle, lever, x, y)
 
@@ -124,10 +124,8 @@ def test_a_thick_rod_with_friction_bends_as_a_thin_one_beyond_its_contact():
     log = scan3d.simulate(body, scan3d.Plan(slices=3, samples=20, sweeps=2, friction=0.3, rod=WIRE))
     _, _, (state, slope, angle, lever, x, y) = with_friction_on_the_surface(log, body)
     k = np.flatnonzero(np.isfinite(state.x0) & (state.q > 0.1))[::20]
-    slope, angle, lever, force = slope[k], angle[k], lever[k], state.root_f[k] ** 2
-    end = shooting.integrate(state.x0[k], force, slope + angle, -2 * state.q[k] * state.root_f[k], state.s1[k] + lever)[
-        ..., 0
-    ]
+    slope, angle, lever, force = slope[k], angle[k], lever[k], state.force[k]
+    end = shooting.integrate(state.x0[k], force, slope + angle, -state.m0z[k], state.s1[k] + lever)[..., 0]
     # at the contact itself: its place, its tangent, and the moment of the force about it
     np.testing.assert_allclose(end[:2], [x[k] + lever * np.cos(slope), y[k] + lever * np.sin(slope)], atol=1e-7)
     np.testing.assert_allclose(end[2], slope, atol=1e-5)

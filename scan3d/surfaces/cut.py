@@ -11,8 +11,8 @@ contact, and chords between contacts lie in free space less deep than that.
 
 Where no contact is near, tetrahedra reach from one part of the body far into free space, or to another part.  So places that
 rods have passed there are corners as well, and tetrahedra at them are free.  Only where the near side of a wall was not touched
-a tetrahedron may reach from its far side through it: it has its costs, and a place that becomes one of the surface by it is
-left out in a second cut.
+a tetrahedron may reach from its far side through it: it has its costs, and places around one that becomes one of the surface by
+it are left out in a second cut.
 
 Nothing depends on planes, axes or a grid.
 """
@@ -74,6 +74,8 @@ _PARTS, _CERTAIN = 100, 10_000_000
 _SPLINTER = 1e-3
 # Rounds in which edges of more than two faces are mended by what is cheaper, before tetrahedra are only added.
 _MENDED = 8
+# Open places are left out within this many of their distances around a wrong one.
+_LEFT_OUT = 3.0
 # Several fans of faces at a contact are moved apart by this part of the merged contacts' distance.
 _APART = 0.02
 
@@ -153,7 +155,7 @@ def cut_surface(
         wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
         if not wrong.any():
             break
-        opened = opened[~wrong]
+        opened = opened[cKDTree(opened[wrong]).query(opened)[0] > _LEFT_OUT * BETWEEN * size]
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
