@@ -131,6 +131,12 @@ def test_a_hole_that_no_rod_has_passed_is_unknown():
     assert (known[radius > 3] > 0).all()
 
 
+def test_nothing_reaches_far_into_free_space():
+    points, along, lines = probed("shell", 3000)
+    surface = cut_surface(points, along, lines).surface
+    assert np.abs(shell(np.asarray(surface.vertices))).max() < 0.02 * np.linalg.norm(np.ptp(points, axis=0))
+
+
 def test_the_last_digit_decides_nothing():
     points, along, lines = probed("two balls")
     moved = cut_surface(points * (1 + 1e-14), along, lines * (1 + 1e-14)).surface

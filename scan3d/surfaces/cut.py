@@ -74,8 +74,9 @@ _PARTS, _CERTAIN = 100, 10_000_000
 _SPLINTER = 1e-3
 # Rounds in which edges of more than two faces are mended by what is cheaper, before tetrahedra are only added.
 _MENDED = 8
-# Open places are left out within this many of their distances around a wrong one.
-_LEFT_OUT = 3.0
+# Open places are as far apart, and from contacts, as places between contacts are estimated, and at least so many spacings of
+# contacts, as tetrahedra between contacts are smaller.  Around a wrong one they are left out within so many of their distances.
+_SPARSE, _LEFT_OUT = 3.0, 3.0
 # Several fans of faces at a contact are moved apart by this part of the merged contacts' distance.
 _APART = 0.02
 
@@ -136,8 +137,9 @@ def cut_surface(
     behind = touching + merged * np.multiply.outer(_BEHIND, into)
     behind = behind[:, np.isfinite(into).all(axis=1)].reshape(-1, 3)
     directions = np.concatenate([inward[corners], between[:, 1]])
-    opened = _opened(joggled, lines, BETWEEN * size)
-    opened += random.uniform(-1, 1, opened.shape) * _JOGGLE * BETWEEN * size
+    apart = max(BETWEEN * size, _SPARSE * spacing)
+    opened = _opened(joggled, lines, apart)
+    opened += random.uniform(-1, 1, opened.shape) * _JOGGLE * apart
     for is_last in (False, True):
         cells = _Cells.around(np.concatenate([joggled[corners], loose, opened]), _MARGIN * size)
         cell, depth = cells.crossed(lines)
@@ -155,7 +157,7 @@ def cut_surface(
         wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
         if not wrong.any():
             break
-        opened = opened[cKDTree(opened[wrong]).query(opened)[0] > _LEFT_OUT * BETWEEN * size]
+        opened = opened[cKDTree(opened[wrong]).query(opened)[0] > _LEFT_OUT * apart]
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
