@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.arrays import Array
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
 from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
@@ -142,18 +143,17 @@ def _performed(
     model: str | None,
     notify: Notify,
 ) -> tuple[Analysis, dict[str, Any]]:
-    """Record, analyse and write; contacts and surface are drawn while the surface is certified and compared."""
+    """Record, analyse and write; contacts and surface are drawn while the surface is compared."""
     clock = Clock()
     with Drawing() as drawing:
         recording, truth = record(clock)
         with clock("write"):
             files = {} if result.reads_recording else recording_files(recording, RECORDING[0])
-            kept = result.keep(files)
 
-        def draw(cloud: Cloud, mesh: Any) -> None:
-            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
+        def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
+            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local)), _JOBS)
 
-        with said_if_ended(kept):
+        with result.kept(files) as how_to_go_on, said_if_ended(how_to_go_on):
             analysis = analyse(
                 recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw
             )
@@ -179,7 +179,7 @@ def analyse(
     *,
     reach: float = 0.0,
     clock: Clock | None = None,
-    made: Callable[[Cloud, Any], None] = lambda _, __: None,
+    made: Callable[[Cloud, Any, Array], None] = lambda *_: None,
 ) -> Analysis:
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
@@ -193,7 +193,7 @@ def analyse(
         radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known, so that a bead alone
         bounds such a body.
     made
-        is called with the contacts and the surface, as soon as both are known.
+        is called with the contacts, the surface and the bounds at its vertices, as soon as all are known.
 
     Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
@@ -220,7 +220,6 @@ def analyse(
         mesh.units = cloud.unit
     if found is not None and cloud.probed is not None:
         cloud = with_surface_normals(cloud, found.surface)
-    made(cloud, mesh)
     with clock("certificate"):
         if warnings or found is not None:
             bounds = bounding_nothing(bounds)
@@ -232,6 +231,7 @@ def analyse(
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     if cloud.convex:
         mesh.vertex_attributes["bound"] = certified.at_vertices
+    made(cloud, mesh, certified.at_vertices)
     analysis = Analysis(
         recording,
         cloud,
@@ -320,6 +320,11 @@ def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: N
         result.put(f"{name}.png", data)
 
 
+def _shown(local: Array) -> Any:
+    """The bounds at a surface's vertices (n,) in single precision, as they are shown; None if none is finite."""
+    return local.astype(np.float32) if np.isfinite(local).any() else None
+
+
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
     """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
     named, truth = analysis.recording.source.get("mesh"), analysis.truth
@@ -330,7 +335,7 @@ def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> S
         analysis.contact_error,
         name=Path(str(named)).stem if named else "body",
         surface=analysis.surface,
-        bound=local.astype(np.float32) if np.isfinite(local).any() else None,
+        bound=_shown(local),
         truth=truth,
         recording=analysis.recording,
         key_figures=figures,

@@ -122,7 +122,7 @@ def test_a_first_map_is_written_and_completed(place, recording, capsys):
     assert data["table"] == {"decimal": ",", "delimiter": ";"}
     assert data["columns"]["position"] == ["TCP X [mm]", "TCP Y [mm]", "TCP Z [mm]"]
     assert data["units"] == {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"}
-    with pytest.raises(InputError, match=r"robot\.map\.toml: \[rod\] a rod needs a positive length"):
+    with pytest.raises(InputError, match=r"robot\.map\.toml: a first map leaves open \[rod\] length_m, \[rod\] bend"):
         scan3d.import_table("robot.csv", "robot.map.toml")
     assert main(["import", "robot.csv", "--guess"]) == 1
     assert "robot.map.toml exists already; give --overwrite" in capsys.readouterr().err

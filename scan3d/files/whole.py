@@ -87,19 +87,27 @@ class Replacement:
             _replace(self._work, self.folder)
         return data
 
-    def keep(self, files: Mapping[str, bytes]) -> str:
-        """Let the recording that a scan has just made appear before its result, and say how to go on if the scan is ended.
+    @contextmanager
+    def kept(self, files: Mapping[str, bytes]) -> Iterator[str]:
+        """A context in which the recording that a scan has just made is in the folder; how to go on if the scan is ended.
 
         It is a result of its own, whose report names nothing else, and which a later run replaces.  An earlier result is not
-        replaced by it, because half of a new one is worth less: then nothing is kept, and nothing said.
+        replaced by it, because half of a new one is worth less: then nothing is kept, and the words are empty.  Nor is it
+        kept after an InputError, which would be raised again.
         """
         is_free = not any((self.folder / name).exists() for name in self.kind) or is_unfinished(self.folder)
         if "recording" in self.inputs or not is_free:
-            return ""
+            yield ""
+            return
         for name, data in files.items():
             self.put(name, data)
         self.commit({"schema": SCHEMA, "versions": {"scan3d": version("scan3d")}})
-        return f"the recording is kept: {_how_to_go_on(self.folder)}"
+        try:
+            yield f"the recording is kept: {_how_to_go_on(self.folder)}"
+        except InputError:
+            for name in (REPORT, *RECORDING):
+                (self.folder / name).unlink(missing_ok=True)
+            raise
 
     @property
     def reads_recording(self) -> bool:
