@@ -155,7 +155,7 @@ def cut_surface(
         touched = np.bincount(inside[inside >= 0], minlength=len(cells.corners))
         faces = _bounded(cells, passed, touched, empty, spacing)
         wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
-        if not wrong.any():
+        if is_last or not wrong.any():
             break
         opened = opened[cKDTree(opened[wrong]).query(opened)[0] > _LEFT_OUT * apart]
     moved = points if moved is None else moved
@@ -286,9 +286,10 @@ def _opened(points: Array, lines: Array, apart: float) -> Array:
     """(n, 3) places on segments (m, 2, 3), so far apart and from all contacts, near which at least two of them pass."""
     low, high = points.min(axis=0) - apart, points.max(axis=0) + apart
     start, along = _in_box(lines, low, high)
-    line, rank = ranges(count := np.ceil(np.linalg.norm(along, axis=1) / apart).astype(np.int64))
+    count = np.ceil(np.linalg.norm(along, axis=1) / apart).astype(np.int64)
+    line, rank = ranges(count)
     places = start[line] + ((rank + 0.5) / count[line])[:, None] * along[line]
-    index = np.floor((places - low) / apart).astype(np.int64)
+    index = np.maximum((places - low) / apart, 0.0).astype(np.int64)
     cell = np.ravel_multi_index(index.T, np.ceil((high - low) / apart).astype(np.int64) + 1)
     # of each line once
     once = np.unique(cell * max(len(start), 1) + line, return_index=True)[1]
