@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from scan3d.results import scan as scan
     from scan3d.results import simulate as simulate
     from scan3d.results import surface as surface
+    from scan3d.results import touches as touches
     from scan3d.rods import Gravity as Gravity
     from scan3d.rods import Rod as Rod
     from scan3d.session import Session as Session
@@ -69,7 +70,7 @@ _NAMES = {
     "pictures.notebook": "plot",
     "planning.plan": "Plan",
     "recording": "Recording",
-    "results": "Result calibrate compare load open reconstruct save scan simulate surface",
+    "results": "Result calibrate compare load open reconstruct save scan simulate surface touches",
     "rods": "Gravity Rod",
     "session": "Session",
 }

@@ -42,6 +42,8 @@ class NormalSource(IntEnum):
     """The facet of a polyhedron that several slices show, or those that meet at the contact."""
     SURFACE = 9
     """The surface through all contacts, at the contact of a probing, which by itself has no normal."""
+    MEASURED = 10
+    """It was measured with the touch of another probe."""
 
 
 class Tilt(NamedTuple):
@@ -118,7 +120,7 @@ class Cloud(Shown, Exported):
     unit: str
     """Unit of all lengths here, that of the recording."""
     rod_length: float
-    """In the recording's unit."""
+    """In the recording's unit; of touches of another probe the diagonal of their box, as a scale."""
     noise: float
     """Median standard deviation of a contact's place, in its least certain direction, in the recording's unit; 0 for exact
     data."""
@@ -155,14 +157,16 @@ class Cloud(Shown, Exported):
     """Rows of the recording that were not measured, and were left out; None if there are none."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
+    normal_error: float = 0.0
+    """Largest error of a measured normal's direction by its digits, in radians."""
     tilt: Tilt | None = None
     """How the planes in which contacts lie differ from their slices; None if they agree up to `pose_error`."""
     table: float | None = None
     """Height z of the table, below which nothing of the body lies, in the recording's unit; None if no table is known."""
 
     model: str = "planar"
-    """Model of contact that gave the contacts, one of `choices.MODELS`.  Clouds of the spatial model have no slices: `slice` is
-    -1, `in_plane_normals` are NaN, `slice_axis` and `slice_height` are empty."""
+    """Model of contact that gave the contacts, one of `choices.MODELS`, or ``touches`` of another probe.  Only clouds of the
+    planar model have slices: in others `slice` is -1, `in_plane_normals` are NaN, `slice_axis` and `slice_height` are empty."""
     rod_radius: float = 0.0
     """Radius of the rod in the recording's unit, by which `points` lie inside `centre_points`, or inside the points of the
     `fattened` cloud; 0 where it is not known.  Of a tapered rod the largest."""
@@ -204,6 +208,11 @@ class Cloud(Shown, Exported):
         # less uncertain ones do not draw surfaces to places outside the body
         limit = max(4 * self.noise, 2e-5 * self.rod_length)
         return self if (self.place_sd <= limit).all() else self.select(self.place_sd <= limit)
+
+    @property
+    def in_slices(self) -> bool:
+        """Whether the contacts lie in slices, and not anywhere."""
+        return self.model == "planar"
 
     @property
     def noisy(self) -> bool:
@@ -250,14 +259,18 @@ class Cloud(Shown, Exported):
         size, unit = lengths(np.ptp(self.points, axis=0) if len(self) else np.zeros(3), self.unit)
         slices = ("slices", f"{len(np.unique(self.slice))} with contacts of {len(self.slice_height)}")
         in_space = ("model", "spatial: the rod may leave the plane of its sweep")
-        rows: Rows = [
-            ("contacts", f"{len(self)}: {len(self) - tips} tangential, {tips} at the tip"),
-            in_space if self.model == "spatial" else slices,
-            ("sweeps", str(len(np.unique(self.sweep)))),
+        rows: Rows = [("touches", f"{len(self)} of another probe")]
+        if self.model != "touches":
+            rows = [
+                ("contacts", f"{len(self)}: {len(self) - tips} tangential, {tips} at the tip"),
+                slices if self.in_slices else in_space,
+                ("sweeps", str(len(np.unique(self.sweep)))),
+            ]
+        rows += [
             ("size", f"{' × '.join(size)} {unit}"),
             ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
         ]
-        if len(self):
+        if np.isfinite(self.force_N).any():
             rows.append(("force", f"{force(self.force_N.min())} to {force(self.force_N.max())}"))
         if len(friction):
             spread = f"{number(friction.min())} to {number(friction.max())}"

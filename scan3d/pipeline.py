@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -32,14 +32,15 @@ from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.parts import Scene, of_cloud
-from scan3d.reconstruction import NoContactError, as_measured, cause_of_no_contact, checked
+from scan3d.reconstruction import Contradiction, NoContactError, as_measured, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
+from scan3d.reconstruction.touches import contradictions
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, report, rounded
 from scan3d.settings import Settings
 from scan3d.simulation.scan import simulate_judged
 from scan3d.surfaces import surface
-from scan3d.surfaces.any_shape import any_shape, with_surface_normals
+from scan3d.surfaces.any_shape import any_shape, shape_of_touches, with_estimated_normals, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 from scan3d.workers import said_if_ended, tell
@@ -135,6 +136,28 @@ def reconstruct(
         return _performed(record, result, settings, settings["method"], model, notify)
 
 
+def touched(
+    read: Callable[[], tuple[Cloud, Any, Mapping[str, Any]]],
+    out: str | Path,
+    *,
+    settings: Mapping[str, Any],
+    inputs: Inputs | None = None,
+    overwrite: bool = False,
+    notify: Notify = lambda _: None,
+) -> tuple[Analysis, dict[str, Any]]:
+    """As `reconstruct`, of touches of another probe: `read` gives them, the true body or None, and where they come from."""
+    clock = Clock()
+    with replacing(out, inputs=inputs, overwrite=overwrite) as result, Drawing() as drawing:
+        with clock("load"):
+            cloud, truth, source = read()
+
+        def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
+            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local)), _JOBS)
+
+        analysis = analyse_touches(cloud, truth, settings["method"], source=source, clock=clock, made=draw)
+        return analysis, _put(analysis, result, {}, settings, clock, drawing, notify)
+
+
 def _performed(
     record: Callable[[Clock], tuple[Recording, Any]],
     result: Replacement,
@@ -206,12 +229,45 @@ def analyse(
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):
         warnings, diagnosis = checked(recording, cloud)
+    bounded = _bounded(cloud, recording, warnings, method, reach, clock)
+    made(bounded.cloud, bounded.surface, bounded.certificate.at_vertices)
+    return _finished(replace(bounded, diagnosis=diagnosis), truth, clock)
+
+
+def analyse_touches(
+    cloud: Cloud,
+    truth: Any = None,
+    method: str = "auto",
+    *,
+    source: Mapping[str, Any] | None = None,
+    clock: Clock | None = None,
+    made: Callable[[Cloud, Any, Array], None] = lambda *_: None,
+) -> Analysis:
+    """As `analyse`, of touches of another probe, which `source` says where they come from."""
+    clock = clock or Clock()
+    with clock("check"):
+        warnings = contradictions(cloud)
+        cloud = cloud if cloud.convex else with_estimated_normals(cloud)
+    bounded = _bounded(cloud, None, warnings, method, 0.0, clock)
+    made(bounded.cloud, bounded.surface, bounded.certificate.at_vertices)
+    return _finished(replace(bounded, source={"kind": "touches", **(source or {})}), truth, clock)
+
+
+def _bounded(
+    cloud: Cloud,
+    recording: Recording | None,
+    warnings: Sequence[Contradiction],
+    method: str,
+    reach: float,
+    clock: Clock,
+) -> Analysis:
+    """Bounds, surface and certificate of contacts; `recording` is what they were reconstructed from, if anything."""
     with clock("bounds"):
         bounds = enclosure(cloud) if cloud.convex else unbounded(cloud)
     found = reached = None
     with clock("surface"):
         if not cloud.convex:
-            found = any_shape(*as_measured(recording, cloud))
+            found = any_shape(*as_measured(recording, cloud)) if recording else shape_of_touches(cloud)
             mesh = found.surface if method == "auto" else surface(cloud, method)
         else:
             # a hull is only taken as proven where the recording agrees with the model
@@ -224,25 +280,18 @@ def analyse(
         if warnings or found is not None:
             bounds = bounding_nothing(bounds)
             certified = certificate(bounds, mesh)
-            if found is not None and (reach or cloud.bead_radius):
+            if recording and found is not None and (reach or cloud.bead_radius):
                 reached = within_reach(*as_measured(recording, cloud), reach, mesh)
                 certified = certified._replace(bound=np.inf if warnings else reached.bound)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     if cloud.convex:
         mesh.vertex_attributes["bound"] = certified.at_vertices
-    made(cloud, mesh, certified.at_vertices)
-    analysis = Analysis(
-        recording,
-        cloud,
-        bounds,
-        mesh,
-        certified,
-        any_shape=found,
-        reach=reached,
-        warnings=tuple(warnings),
-        diagnosis=diagnosis,
-    )
+    return Analysis(recording, cloud, bounds, mesh, certified, any_shape=found, reach=reached, warnings=tuple(warnings))
+
+
+def _finished(analysis: Analysis, truth: Any, clock: Clock) -> Analysis:
+    """The analysis, compared with the truth if that is given, and the time that all took."""
     if truth is not None:
         with clock("compare"):
             analysis = _compared(analysis, truth)
@@ -273,7 +322,7 @@ def write(
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
         drawing.begin(to_scene(analysis), _JOBS)
-        files = recording_files(analysis.recording, RECORDING[0])
+        files = recording_files(analysis.recording, RECORDING[0]) if analysis.recording else {}
         return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, lambda _: None)
 
 
@@ -327,7 +376,7 @@ def _shown(local: Array) -> Any:
 
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
     """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
-    named, truth = analysis.recording.source.get("mesh"), analysis.truth
+    named, truth = analysis.origin.get("mesh") or analysis.origin.get("file"), analysis.truth
     named = named if truth is None else truth.metadata.get("file")
     local = analysis.certificate.at_vertices
     return of_cloud(

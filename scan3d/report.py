@@ -35,9 +35,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Analysis:
-    """Results from a recording: contacts, bounds, surface and certificate; with the truth, also the comparison with it."""
+    """Results from contacts: bounds, surface and certificate; with the truth, also the comparison with it."""
 
-    recording: Recording
+    recording: Recording | None
+    """What was measured; None for touches of another probe."""
     cloud: Cloud
     bounds: Enclosure
     surface: trimesh.Trimesh
@@ -63,9 +64,16 @@ class Analysis:
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
     """The likeliest fault of a recording that contradicts the model, or whose sweeps differ by what the bounds allow for."""
+    source: Mapping[str, Any] = field(default_factory=dict)
+    """Where touches of another probe come from."""
 
     def __repr__(self) -> str:
-        return f"Analysis of {len(self.recording)} samples: {len(self.cloud)} contacts, {len(self.surface.faces)} faces"
+        return f"Analysis of {len(self.cloud)} contacts: {len(self.surface.faces)} faces"
+
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """Where the contacts come from: the source of the recording, or of touches."""
+        return self.source if self.recording is None else self.recording.source
 
 
 def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,11 +87,16 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "schema": SCHEMA,
         "model": cloud.model,
         "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
-        "body": {"convex": cloud.convex and not recording.stated_hollow, "parts": int(surface.body_count)},
+        "body": {
+            "convex": cloud.convex and not (recording and recording.stated_hollow),
+            "parts": int(surface.body_count),
+        },
         "settings": dict(settings),
-        "source": dict(recording.source),
+        "source": dict(analysis.origin),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
-        "rod": {
+        "rod": None
+        if recording is None
+        else {
             "length_m": recording.rod.length_m,
             "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
             "length": cloud.rod_length,
@@ -100,15 +113,21 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": {
-            "force_N": recording.noise.force_N,
-            "moment_Nm": recording.noise.moment_Nm,
-            "stated_force_N": recording.noise_force_N,
-            "stated_moment_Nm": recording.noise_moment_Nm,
-            "stated_pose_m": recording.noise_pose_m,
+            **(
+                {}
+                if recording is None
+                else {
+                    "force_N": recording.noise.force_N,
+                    "moment_Nm": recording.noise.moment_Nm,
+                    "stated_force_N": recording.noise_force_N,
+                    "stated_moment_Nm": recording.noise_moment_Nm,
+                    "stated_pose_m": recording.noise_pose_m,
+                }
+            ),
             "independent": cloud.independent,
             "contact_median": cloud.noise,
         },
-        **_calibration(recording, cloud),
+        **({} if recording is None else _calibration(recording, cloud)),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
         | ({} if analysis.any_shape is None else analysis.any_shape.coverage),
         "surface": {
@@ -148,6 +167,9 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
 
 def _counts(analysis: Analysis) -> dict[str, int | None]:
     recording, cloud = analysis.recording, analysis.cloud
+    if recording is None:
+        known = int(np.isfinite(cloud.normals).all(axis=1).sum())
+        return {"slices": 0, "sweeps": 0, "contacts": len(cloud), "with_normals": known, "light": 0}
     slices = len(np.unique(cloud.slice[cloud.slice >= 0]))
     return {
         "slices": slices,
@@ -175,7 +197,7 @@ def _second(analysis: Analysis) -> dict[str, int | None]:
         # farther off than this an exact contact has another cause than rounding
         allowed = 1e-8 * cloud.rod_length + LARGEST_OVER_SD * noise
         hidden = int((analysis.contact_error > allowed).sum())
-    unresolved = analysis.recording.source.get("unresolved")
+    unresolved = analysis.origin.get("unresolved")
     return {"second_contacts": cloud.second, "hidden_second_contacts": hidden, "unresolved": unresolved}
 
 
@@ -195,7 +217,7 @@ def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
 
 def _thickness(cloud: Cloud) -> dict[str, Any]:
     """The rod's diameter and what its radius does to the contacts; nothing of a planar recording by a rod without one."""
-    if cloud.model != "spatial" and not cloud.rod_radius:
+    if cloud.in_slices and not cloud.rod_radius:
         return {}
     tapered = {"tapered": True} if cloud.tapered else {}
     return {
@@ -215,7 +237,7 @@ def _contact_error(errors: Array | None, cloud: Cloud) -> dict[str, Any] | None:
 def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud, recording = analysis.certificate.bound, analysis.bounds, analysis.cloud, analysis.recording
-    is_real = recording.source.get("kind") != "simulation"
+    is_real = recording is not None and recording.source.get("kind") != "simulation"
     grown = (  # what contacts and bounds are those of, in the place of the body
         "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
         "of an import or in the TOML file of the recording"
@@ -247,7 +269,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "table": cloud.table,
         **({} if analysis.any_shape is None else {"contours": {"bound": contours}, **_between(reached)}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
-        "grown": grown if is_real and not recording.rod.diameter_m else None,
+        "grown": grown if is_real and recording and not recording.rod.diameter_m else None,
         # without a bound neither it nor the volume has parts or ends
         "parts": parts if bounds.confidence else dict.fromkeys(parts),
         "volume": list(bounds.volume) if bounds.confidence else [None, None],
@@ -329,7 +351,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     if not cloud.convex:
         reason = "the body is not convex"
     elif not bounds.confidence:
-        reason = "the rod's radius changes" if cloud.tapered else "the recording contradicts the model"
+        reason = "the rod's radius changes" if cloud.tapered else _contradicted({"model": cloud.model})
     else:
         reason = "nothing bounds the body on some side"
 
@@ -418,7 +440,7 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
     contacts of the spatial model, as `surface_within` says; None where nothing is certified.
     """
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    within = (5e-3 if cloud.model == "spatial" else 1e-3) * diagonal
+    within = (1e-3 if cloud.in_slices else 5e-3) * diagonal
     if not bounds.confidence:
         return {"surface": None, "surface_within": within}
     surface, bound = _local_bounds(bounds, surface, certified)
@@ -438,11 +460,14 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     sweeps = f"{counts['sweeps'] - probings} sweeps in {where}" if counts["sweeps"] > probings else ""
     sweeps = " and ".join(filter(None, [sweeps, f"{probings} probings" if probings else ""]))
     of_hull = f" from the {HULL_OF_MESH}" if rows else ""
-    rows.append(("contacts", f"{counts['contacts']} of {counts['samples']} samples, {sweeps}"))
+    if data.get("model") == "touches":
+        rows.append(("touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"))
+    else:
+        rows.append(("contacts", f"{counts['contacts']} of {counts['samples']} samples, {sweeps}"))
     if errors:
         rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
-    if data.get("model") != "spatial" and swept < most and not probings:
+    if data.get("model") == "planar" and swept < most and not probings:
         slices = f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
         rows.append(("slices", slices))
     median = data["friction"]["estimated_median"]
@@ -456,7 +481,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         factor = number(left_out["noise_factor"])
         rows.append(("left out", f"{part}; the others count with {factor} times the stated noise"))
     rows += [("not measured", words) for words in data["certificate"].get("not_measured", ())]
-    radius = data.get("rod", {}).get("radius", {})
+    rod = data.get("rod") or {}
+    radius = rod.get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]
         left, moved = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0), length(radius["moved"], unit)
@@ -488,7 +514,7 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("volume", f"{known}, certified{of_scanned(data)}"))
     rows += _known_rows(data)
     if data["warnings"]:
-        rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
+        rows.append(("certified", f"nothing, because {_contradicted(data)}: see the warnings"))
     elif "contours" in certified:
         bound, contours = certified["contours"]["bound"], "nothing"
         if bound is not None and np.isfinite(bound):
@@ -506,6 +532,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
             rows.append(
                 ("certified", "nothing, because the body is not convex; --reach states how fine its features are")
             )
+        elif data.get("model") == "touches":
+            rows.append(("certified", "nothing, because the body is not convex"))
         else:
             rows.append(("certified", f"{contours} in the planes of the slices; {between}"))
         rows += _premise_rows(certified)
@@ -517,7 +545,7 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
         rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
         rows += _premise_rows(certified)
-    elif data.get("rod", {}).get("tapered"):
+    elif rod.get("tapered"):
         why = "the rod's radius changes along it, and no one radius grows the body to what its centre line touches"
         rows.append(("certified", f"nothing, because {why}"))
     elif certified.get("missing"):
@@ -537,8 +565,8 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     """What a report comes to: how far the surface can be from the body, or how much of it is known."""
     certified, coverage = data["certificate"], data["coverage"]
     if data["warnings"]:
-        return "nothing certified: the recording contradicts the model"
-    if data["counts"].get("probings"):
+        return f"nothing certified: {_contradicted(data)}"
+    if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):
         return touched(coverage, certified["unit"])
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = length(certified["bound"], certified["unit"], up=True)
@@ -550,6 +578,11 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
         )
         return f"{shares}, {_unknown(coverage, certified['unit'])}"
     return "nothing certified: the summary says what is missing"
+
+
+def _contradicted(data: Mapping[str, Any]) -> str:
+    is_touched = data.get("model") == "touches"
+    return "the touches contradict each other" if is_touched else "the recording contradicts the model"
 
 
 def _known_rows(data: Mapping[str, Any]) -> Rows:
@@ -592,10 +625,8 @@ def _premise_rows(certified: Mapping[str, Any]) -> Rows:
     premises = certified["premises"]
     untested = ", ".join(premise["assumed"] for premise in premises if not premise["tested"])
     outcomes = "; ".join(premise["outcome"] for premise in premises if premise["tested"])
-    return [
-        ("assumed", certified["premise"]),
-        ("tested", f"{outcomes}; not tested: {untested}" if untested else outcomes),
-    ]
+    left = f"not tested: {untested}" if untested else ""
+    return [("assumed", certified["premise"]), ("tested", "; ".join(filter(None, [outcomes, left])))]
 
 
 def _distance(part: Mapping[str, Any], unit: str) -> str:

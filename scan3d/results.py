@@ -33,6 +33,7 @@ from scan3d.errors import InputError, import_open3d
 from scan3d.files import whole
 from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
+from scan3d.files.points import Points, read_points
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import (
     NORMAL,
@@ -53,6 +54,7 @@ from scan3d.pictures.figures import sheet
 from scan3d.pictures.parts import Scene, columns
 from scan3d.planning import Plan
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
+from scan3d.reconstruction.touches import touches as cloud_of_touches
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, summary
 from scan3d.settings import Given, shows_settings
@@ -139,6 +141,48 @@ def calibrate(
     return calibrate_rig(
         _recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m, accuracy=accuracy
     )
+
+
+def touches(
+    points: Any,
+    normals: Any = None,
+    *,
+    place_sd: Any = None,
+    normal_sd: Any = None,
+    unit: Unit | None = None,
+    table: float | None = None,
+) -> Cloud:
+    """The cloud of touches of any probe, such as a coordinate measuring machine or another tactile sensor.
+
+    points
+        places (n, 3) on the body's surface, or the path of a file of them: ``.csv``, ``.ply``, ``.pcd``, ``.xyz`` with the
+        columns x, y, z, and where they are known nx, ny, nz, place_sd and normal_sd.
+    normals (n, 3)
+        outwards, of any length; NaN where unknown.  Where all point inwards, they are turned.  A file's own come first.
+    place_sd, normal_sd
+        standard deviations (n,), or one of all: of each coordinate of a place, and of a normal's direction in each of the two
+        directions across it, in radians.  None: the touches are exact up to their digits.  A file's own come first.
+    unit
+        of the places; that which a file states, or mm.
+    table
+        height z of the table, below which nothing of the body lies.
+
+    `Cloud.convex` says whether the touches accord with a convex body.  Raises InputError for files that can't be read, arrays
+    of other shapes, numbers that are not finite, points that span no body, and normals of which some point inwards and some
+    outwards.
+    """
+    check_unit(unit)
+    stated: str | None = unit
+    read = read_points(Path(points)) if isinstance(points, (str, os.PathLike)) else points
+    if isinstance(read, Points):
+        if unit and read.unit not in (None, unit):
+            raise InputError(
+                f"{read.name} is in {read.unit}, as it states itself, and not in {unit}; leave the unit out"
+            )
+        stated, points, found = read.unit or unit, read.stacked(POINT), read.stacked(NORMAL)
+        normals = normals if found is None else found
+        place_sd, normal_sd = read.columns.get("place_sd", place_sd), read.columns.get("normal_sd", normal_sd)
+    return cloud_of_touches(points, normals, place_sd=place_sd, normal_sd=normal_sd, unit=stated or "mm", table=table)
 
 
 _Thing: TypeAlias = "Cloud | Shape | trimesh.Trimesh"
@@ -302,6 +346,8 @@ class Result(Shown):
 
         Raises InputError if the folder has none, or one of another run.
         """
+        if self.report.get("model") == "touches":
+            raise InputError(f"{self.folder} has no recording: its contacts are touches of another probe")
         path = self._place / RECORDING[0]
         if not locate(path).exists():
             raise InputError(
@@ -313,10 +359,13 @@ class Result(Shown):
 
     @cached_property
     def cloud(self) -> Cloud:
-        """The contacts; those of a folder are reconstructed from its recording: ``cloud.ply`` holds a part of them.
+        """The contacts; those of a folder are reconstructed from its recording: ``cloud.ply`` holds a part of them.  Of touches
+        of another probe it holds all, with normals in single precision.
 
         Raises InputError as `recording`, and if they are not those of ``cloud.ply``, which another version has written.
         """
+        if self.report.get("model") == "touches":
+            return touches(self._place / "cloud.ply", table=(self.report.get("certificate") or {}).get("table"))
         cloud, rows = reconstruct_contacts(self.recording, model=self.report.get("model")), self._files.contacts
         known = None if rows is None else columns(rows, "x", "y", "z")
         if known is not None:

@@ -163,8 +163,10 @@ class Premise(NamedTuple):
     outcome: str
 
 
-def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, ...]:
+def premises(recording: Recording | None, cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, ...]:
     """What the bounds of a cloud's body rest on; `contradicted` are the codes of what the recording contradicts."""
+    if recording is None:
+        return _of_touches(cloud, contradicted)
     hidden = "not tested: what neither friction nor path nor other sweeps contradict stays hidden"
     outcome = "contradicted" if {"inside-hull", "beyond-tangent"} & {*contradicted} else "not contradicted"
     outcome = outcome if contradicted else "no contact lies inside those of a convex body"
@@ -178,6 +180,29 @@ def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) 
             []
             if recording.completed is None
             else [Premise(recording.completed.words, False, "not tested: it was stated")]
+        ),
+    )
+
+
+def _of_touches(cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, ...]:
+    """Those of touches of another probe."""
+    if not cloud.convex:
+        return (Premise("the surface runs through all touches", False, "not tested"),)
+    places = (
+        "places without error" if cloud.place_sd is None or not cloud.place_sd.any() else "white noise of the places"
+    )
+    normals = (
+        "normals without error" if cloud.normal_sd is None or not cloud.normal_sd.any() else "noise of the normals"
+    )
+    is_known = np.isfinite(cloud.normals).any()
+    outcome = "some do" if contradicted else "no touch lies beyond the plane of another one"
+    return (
+        Premise("a convex body", True, "no touch lies inside the hull of the others"),
+        Premise(f"{places} of the stated size" if "noise" in places else places, False, "not tested"),
+        *(
+            [Premise(f"{normals} of the stated size" if "noise" in normals else normals, True, outcome)]
+            if is_known
+            else []
         ),
     )
 
@@ -248,14 +273,18 @@ def missing(cloud: Cloud) -> str:
     A convex body is bounded by planes that touch it only if their normals lie on all sides of the origin.  Where those of the
     contacts do, the errors of single contacts leave the planes too uncertain.
     """
-    if cloud.model != "spatial":
+    if cloud.in_slices:
         return ""
     normals = cloud.normals[np.isfinite(cloud.normals).all(axis=1)]
+    if cloud.model == "touches" and not len(normals):
+        return "places alone do not bound a body from outside: normals of the touches would"
     if cloud.table is not None:
         normals = np.vstack([normals, [0.0, 0.0, -1.0]])
     side = _open_side(normals)
     if side is not None:
         return _on_side(side, cloud)
+    if cloud.model == "touches":
+        return "the planes of the touches are too uncertain, or too few, to meet around the body"
     if cloud.place_sd is None or cloud.tangent_sd is None or (kappa := allowed(cloud).kappa) is None:
         return "the contacts are too few or too far apart for their tangent planes to meet: sweeps between them would close it"
     place, turn = (
@@ -282,10 +311,11 @@ def _open_side(normals: Array) -> Array | None:
 
 def _on_side(side: Array, cloud: Cloud) -> str:
     """What would bound the body in a direction that no contact faces."""
+    moves = "touches" if cloud.model == "touches" else "sweeps"
     x, y, z = side / max(float(np.linalg.norm(side)), NEGLIGIBLE)
     if abs(z) < np.cos(np.pi / 8):  # neither down nor up
-        return f"no contact bounds the body towards ({x + 0.0:.2f}, {y + 0.0:.2f}, {z + 0.0:.2f}): sweeps from that side would"
+        return f"no contact bounds the body towards ({x + 0.0:.2f}, {y + 0.0:.2f}, {z + 0.0:.2f}): {moves} from that side would"
     heights = cloud.points[:, 2]
     end = float(heights.min() if z < 0 else heights.max())
     where, table = ("below", ", or the height of the table that it stands on,") if z < 0 else ("above", "")
-    return f"no contact bounds the body {where} z = {length(end, cloud.unit)}: sweeps from {where}{table} would"
+    return f"no contact bounds the body {where} z = {length(end, cloud.unit)}: {moves} from {where}{table} would"

@@ -55,6 +55,7 @@ from scan3d.bounds.constraints import (
     tangent_planes,
 )
 from scan3d.bounds.noise import confident
+from scan3d.bounds.planes import outer_corners
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
@@ -203,12 +204,14 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
     the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
-    tangents.  Contacts of the spatial model lie in no slices.  A rod whose radius changes along it bounds nothing.  Raises
-    InputError for contacts that do not span a body.
+    tangents.  Contacts of the spatial model lie in no slices, and touches of other probes have planes.  A rod whose radius
+    changes along it bounds nothing.  Raises InputError for contacts that do not span a body.
     """
     if cloud.fattened is not None:
         bounds = _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
         return bounding_nothing(bounds) if cloud.tapered else bounds
+    if cloud.model == "touches":
+        return _by_planes(cloud, margin, confidence)
     if cloud.model == "spatial":
         bounds = _spatial_enclosure(cloud, margin, confidence)
         return bounding_nothing(bounds) if cloud.tapered else bounds
@@ -528,18 +531,7 @@ def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
 
 def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
     """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
-    candidates = []
-    largest = places.largest()
-    # contacts with larger errors are left out of the inner body, and the best bound is taken
-    for quantile in (1.0, 0.85, 0.7, 0.5):
-        kept = largest <= np.quantile(largest, quantile)
-        with suppress(InputError):
-            some = cloud.select(kept)
-            centre_hull = hull(places.points[kept])
-            margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
-            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
-    if not candidates:
-        hull(places.points)  # raises InputError, which says why
+    candidates = _inner_bodies(cloud, places)
     found = outer_body(cloud, places, turns, candidates[0][0])
     is_open = np.isinf(found.gap)
     corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
@@ -551,19 +543,65 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) ->
         np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
     )
     directions = Directions(apexes, is_open)
+    return _best_within(cloud, candidates, corners, directions, confidence)
+
+
+def _by_planes(cloud: Cloud, margin: float | None, confidence: float) -> Enclosure:
+    """The enclosure by touches of another probe, whose normals were measured; the arguments are those of `enclosure`."""
+    errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
+    places, turns = Places(cloud.points, errors), np.full(len(cloud), cloud.normal_error)
+    allow = allowed(cloud, confidence)
+    if margin is None and allow.kappa is not None:
+        assert cloud.covariance is not None
+        assert cloud.normal_sd is not None
+        places = places._replace(spread=allow.kappa**2 * cloud.covariance)
+        turns += allow.kappa * cloud.normal_sd
+    points, normals, off = cloud.points, cloud.normals, places.largest()
+    if cloud.table is not None:
+        below = np.append(points.mean(axis=0)[:2], cloud.table)
+        points, normals = np.vstack([points, below]), np.vstack([normals, [0.0, 0.0, -1.0]])
+        off, turns = np.append(off, 0.0), np.append(turns, 0.0)
+    candidates, corners = _inner_bodies(cloud, places), outer_corners(points, normals, off, turns)
+    directions = Directions(np.zeros((1, 3)), np.array([corners is None]))
+    corners = np.empty((0, 3)) if corners is None else corners
+    return _best_within(cloud, candidates, corners, directions, allow.confidence if margin is None else 1.0)
+
+
+_Within = tuple[Any, tuple[tuple[Any, float], ...], float]
+"""An inner body, the bodies that it may stick out of by so much, and the largest error of theirs."""
+
+
+def _inner_bodies(cloud: Cloud, places: Places) -> list[_Within]:
+    """Hulls of contacts with uncertain places: of all, and of those with smaller errors.  Raises InputError as `hull`."""
+    candidates: list[_Within] = []
+    largest = places.largest()
+    for least in np.unique(np.quantile(largest, (1.0, 0.85, 0.7, 0.5)))[::-1]:
+        kept = largest <= least
+        with suppress(InputError):
+            centre_hull = hull(places.points[kept])
+            margin, inner = _error_of_hull(centre_hull, places), _inner_body(cloud.select(kept), centre_hull)
+            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
+    if not candidates:
+        hull(places.points)  # raises InputError, which says why
+    return candidates
+
+
+def _best_within(
+    cloud: Cloud, candidates: list[_Within], corners: Array, directions: Directions, confidence: float
+) -> Enclosure:
+    """The enclosure with the smallest bound by one of several inner bodies."""
     bounds = [_anywhere(cloud, within, corners, directions, confidence) for within in candidates]
     return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
 
 
 def _anywhere(
     cloud: Cloud,
-    within: tuple[Any, tuple[tuple[Any, float], ...], float],
+    within: _Within,
     corners: Array,
     directions: Directions,
     confidence: float,
 ) -> Enclosure:
-    """The enclosure by an inner body, the bodies that it may stick out of by so much, and the largest error of theirs, and by
-    the corners of an outer body, and the directions in which there are none."""
+    """The enclosure by an inner body, and by the corners of an outer one, and the directions in which there are none."""
     inner, bodies, margin = within
     radius, unbounded = cloud.rod_radius, bool(directions.open.any())
     gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)

@@ -162,7 +162,7 @@ def sheets_of(recording: Recording, cloud: Cloud, beyond: float = 0.0) -> list[S
 
     Raises InputError for clouds without slices and for rods whose shape is not that of a uniform, straight one.
     """
-    if cloud.model == "spatial" or not len(cloud.slice_height):
+    if not cloud.in_slices or not len(cloud.slice_height):
         raise InputError("free space in slices needs the planar model; a cloud of the spatial model has no slices")
     if not recording.rod.is_simple:
         raise InputError("free space is known of rods that are straight, uniform and weightless only")

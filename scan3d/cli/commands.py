@@ -71,6 +71,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "reconstruct": verbs.reconstruct,
     "calibrate": rig.calibrate,
     "import": rig.import_,
+    "surface": verbs.surface,
     "compare": verbs.compare,
     "show": show.show,
     "export": verbs.export,

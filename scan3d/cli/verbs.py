@@ -295,6 +295,82 @@ def reconstruct(
     return _report(data, out, strict, output)
 
 
+def surface(
+    points: Annotated[Path, Parameter(metavar="POINTS")],
+    /,
+    *,
+    out: Folder | None = None,
+    truth: Mesh | None = None,
+    hull: Flag = False,
+    method: Method = "auto",
+    unit: Unit | None = None,
+    place_sd: float | None = None,
+    normal_sd: float | None = None,
+    table: float | None = None,
+    overwrite: Overwrite = False,
+    strict: Strict = False,
+    output: Output = Output(),
+) -> int:
+    """The surface of a body from touches of another probe, with a certificate if the body is convex.
+
+    The columns are x, y, z, and where they are known the outward normals nx, ny, nz and the standard deviations
+    place_sd and normal_sd (in radians). Touches with normals bound a convex body; with deviations with 95 % confidence.
+
+    For example:
+      scan3d surface touches.csv --out out
+      scan3d surface cmm.xyz --unit in --place-sd 0.0002 --out out
+      scan3d surface robot.pcd --unit m --place-sd 0.0005 --normal-sd 0.05 --truth part.stl --out out
+
+    Parameters
+    ----------
+    points
+        a .csv, .ply, .pcd, .xyz or .txt with a touch in each row
+    out
+        folder for the results (default: beside the file, such as touches-scan; touches-scan-2 if that exists)
+    truth
+        mesh of the true body, in the unit of the touches, to compare with
+    hull
+        take the convex hull of a true body that is not convex
+    method
+        of the surface, as in scan3d reconstruct
+    unit
+        unit of the touches, where the file does not state it (default mm)
+    place_sd
+        standard deviation of each coordinate, in that unit, where the file has none
+    normal_sd
+        standard deviation of a normal's direction across it, in radians, where the file has none
+    table
+        height of the table that the body stands on, in that unit
+    """
+    from scan3d import pipeline
+    from scan3d.files.meshes import load_mesh
+    from scan3d.files.points import read_points
+    from scan3d.files.whole import sha256
+    from scan3d.results import touches
+    from scan3d.surfaces.open3d_methods import check_method
+
+    check_method(method)
+    out = out or _beside(points)
+
+    def read() -> tuple[Any, Any, dict[str, Any]]:
+        file = read_points(points)
+        if file.left_out:
+            output.progress.say(f"{file.left_out} rows of {points.name} have no place, and are left out")
+        cloud = touches(file, place_sd=place_sd, normal_sd=normal_sd, unit=unit, table=table)
+        body = None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
+        return cloud, body, {"file": points.name, "sha256": sha256(points)}
+
+    _, data = pipeline.touched(
+        read,
+        out,
+        settings={"method": method, "place_sd": place_sd, "normal_sd": normal_sd, "table": table},
+        inputs={"touches": points, "true body": truth},
+        overwrite=overwrite,
+        notify=output.progress.say,
+    )
+    return _report(data, out, strict, output)
+
+
 def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: Output = Output()) -> int:
     """Hausdorff distance and other measures of two meshes, convex or not.
 

@@ -267,7 +267,8 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
 
     Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have two further
     columns, the standard deviations of their places and of their normals' angles.  Contacts of the spatial model lie in no
-    slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods that probe.
+    slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods that probe.  Touches of other
+    probes have neither sweep, force nor friction.
     """
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
@@ -286,6 +287,9 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
         columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
     if cloud.recovered is not None:
         columns["recovered"] = cloud.recovered.astype(np.uint8)
+    if cloud.model == "touches":
+        for name in ("phase", "slice", "sweep", "force", "friction"):
+            del columns[name]
     if cloud.model == "spatial":
         nothing = np.full((len(cloud), 3), np.nan)
         tangents = nothing if cloud.tangents is None else cloud.tangents

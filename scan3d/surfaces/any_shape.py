@@ -20,16 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask, unit_or_zero
 from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, passed_lines, sheets_of, spacing_of
 from scan3d.cloud import TOUCHED, Cloud, NormalSource
 from scan3d.errors import InputError
 from scan3d.geometry.crossings import first_crossings
 from scan3d.geometry.distance import Search
-from scan3d.geometry.triangles import areas, face_normals, kept_apart
+from scan3d.geometry.triangles import areas, dot, face_normals, kept_apart
 from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import into_body, with_rows
+from scan3d.reconstruction.touches import oriented
 from scan3d.recording import Recording, of_rows
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.surfaces.cut import ESTIMATED, KNOWN, UNKNOWN, cut_surface
@@ -42,6 +44,8 @@ _SUPPORTED = 1.5
 # Free places are taken this part of the diagonal apart up to so many times as far from the border, and beyond so many times as
 # far apart.
 _STEP, _NEAR, _COARSE = 0.005, 4, 6
+# Touches that the plane is taken through that estimates a normal.
+_PLANE_OF = 12
 # Heights of these places between two planes, in parts of their distance: next to the planes, where what they show holds.
 _HEIGHTS = (0.0, 0.1, 0.9)
 
@@ -196,6 +200,67 @@ def _from_anywhere(recording: Recording, cloud: Cloud) -> AnyShape:
             patch["reason"] = reason
     off = int(found.off.sum())
     return AnyShape(found.surface, _contours_bound(recording, cloud), TOUCHED * size, coverage, off)
+
+
+def shape_of_touches(cloud: Cloud) -> AnyShape:
+    """The surface of a body of any shape through touches of another probe, whose way to the body is not known.
+
+    Free is what the largest balls contain that touch the body from outside at a touch and have no other one inside.  All
+    touches have normals, as by `with_estimated_normals`.
+    """
+    lines = _through_balls(cloud.points, cloud.normals)
+    found = cut_surface(cloud.points, -cloud.normals, lines, lines.mean(axis=1))
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    coverage = _coverage(found.surface, found.surface.vertex_attributes["known"])
+    return AnyShape(found.surface, np.inf, TOUCHED * size, coverage, int(found.off.sum()))
+
+
+def _through_balls(points: Array, normals: Array) -> Array:
+    """(n, 2, 3) segments from touches (n, 3) through the largest empty balls before them, of at most a diagonal's radius.
+
+    A ball shrinks to the touch that is nearest to its centre until none lies inside (Ma, Bae, Choi 2012).
+    """
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    tree, radius, rows = cKDTree(points), np.full(len(points), size), np.arange(len(points))
+    while len(rows):
+        centre = points[rows] + radius[rows, None] * normals[rows]
+        distance, near = tree.query(centre)
+        step = points[near] - points[rows]
+        is_inside = distance < (1 - 1e-6) * radius[rows]
+        rows, step = rows[is_inside], step[is_inside]
+        radius[rows] = dot(step, step) / (2 * dot(step, normals[rows]))
+    return np.stack([points, points + 2 * radius[:, None] * normals], axis=1)
+
+
+def with_estimated_normals(cloud: Cloud) -> Cloud:
+    """The cloud with normals, where they are not known, of the planes through the touches around, all turned outwards.
+
+    Raises InputError where they are too far apart to tell which side is outside.
+    """
+    unknown: Mask = np.isnan(cloud.normals[:, 0])
+    if not unknown.any():
+        return cloud
+    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkPolyData
+    from vtkmodules.vtkFiltersPoints import vtkPCANormalEstimation
+
+    places, data, estimate = vtkPoints(), vtkPolyData(), vtkPCANormalEstimation()
+    places.SetData(numpy_to_vtk(np.ascontiguousarray(cloud.points)))
+    data.SetPoints(places)
+    estimate.SetInputData(data)
+    estimate.SetSampleSize(_PLANE_OF)
+    estimate.SetNormalOrientationToGraphTraversal()
+    estimate.Update()
+    found = vtk_to_numpy(estimate.GetOutput().GetPointData().GetNormals()).astype(np.float64)
+    try:
+        found = oriented(cloud.points, unit_or_zero(found))
+    except InputError:
+        raise InputError(
+            f"the {len(cloud)} touches are too far apart to tell which side of the surface is outside; give their normals"
+        ) from None
+    source = np.where(unknown, NormalSource.SURFACE, cloud.normal_source).astype(np.int8)
+    return replace(cloud, normals=np.where(unknown[:, None], found, cloud.normals), normal_source=source)
 
 
 def _contours_bound(recording: Recording, cloud: Cloud) -> float:

@@ -118,13 +118,18 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         proven = length(bounds.bound, cloud.unit, digits=2, up=True)
         reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
         return _labelled(bounds.inner.copy(), "hull", reason)
-    if cloud.model == "spatial":
-        cloud = cloud.select(np.flatnonzero(np.isfinite(cloud.points + cloud.normals).all(axis=1)))
+    if not cloud.in_slices:
+        known = np.isfinite(cloud.points + cloud.normals).all(axis=1)
+        if not known.any():
+            return _labelled(
+                hull(cloud.points), "hull", f"convex hull of the {cloud.model}, whose normals are not known"
+            )
+        cloud = cloud.select(np.flatnonzero(known))
     parts = hold_out(cloud)
     if parts is None:
         return _without_cross_validation(cloud, bounds)
     kept, held_out = parts
-    sweeps = "sweeps" if cloud.model == "spatial" else "slices"
+    sweeps = {"planar": "slices", "spatial": "sweeps"}.get(cloud.model, cloud.model)
 
     def lie_within(error: HeldOutError) -> str:
         return f"held-out {sweeps} lie within {length(error.largest, cloud.unit, digits=2)}"
@@ -160,7 +165,7 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     if best not in of_whole()[0]:  # the slices that were kept have no contours between them, or all slices have none
         return _without_cross_validation(cloud, bounds)
     mesh = of_whole()[0][best]()
-    if cloud.model == "spatial":
+    if not cloud.in_slices:
         mesh = _inside(bounds, mesh)
     return _labelled(mesh, "bracket", f"{best}: {lie_within(errors[best])}")
 
@@ -169,7 +174,7 @@ def _estimates(
     cloud: Cloud, bounds: Enclosure | None, by_cells: bool, has_edges: bool
 ) -> tuple[Estimates, Room | None]:
     """The estimates from a cloud, each of which is computed when it is called, and the room between slices."""
-    if cloud.model == "spatial":
+    if not cloud.in_slices:
         return {
             "curved between the contacts": partial(curved, cloud),
             "convex hull of the contacts": partial(hull, cloud.points),
@@ -191,7 +196,7 @@ def _part_of_the_way(fraction: float) -> str:
 
 def _without_cross_validation(cloud: Cloud, bounds: Enclosure) -> Any:
     """The estimate where too little is known to hold anything out."""
-    if cloud.model == "spatial":
+    if not cloud.in_slices:
         return _labelled(
             hull(cloud.points), "bracket", "convex hull of the contacts; too few sweeps for cross-validation"
         )
@@ -258,7 +263,7 @@ def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     Every second slice between the end slices of each axis is held out; in space every fourth sweep is.  The kept cloud has no
     fitted support function, since that of the whole cloud was fitted to the held-out contacts as well.
     """
-    parts = _sweeps(cloud) if cloud.model == "spatial" else _slices(cloud)
+    parts = _slices(cloud) if cloud.in_slices else _sweeps(cloud)
     if parts is None:
         return None
     kept, held_out = parts
@@ -307,7 +312,7 @@ def error_of_fit(fit: SupportFit, kept: Cloud, held_out: Cloud) -> HeldOutError:
     Under noise a body with edges may pass for smooth, and be fitted by a function that is no support function: it has points
     far out, which the hull of the fitted body shows.  Exact contacts are compared with the function, which has no facets.
     """
-    in_slices = kept.model != "spatial"
+    in_slices = kept.in_slices
     kept = with_slice_normals(kept) if in_slices else kept
     kept = kept.select(np.isfinite(kept.normals[:, 0]))
     sd = kept.sd_along(kept.normals)

@@ -650,7 +650,7 @@ def _body(cloud: Cloud, points: Array, planes: Planes) -> Any:
 
 def _limits(cloud: Cloud) -> Array:
     """Planes (k, 4) half way between the slices at the ends of each axis and the empty ones beyond them."""
-    if cloud.model == "spatial":
+    if not cloud.in_slices:
         return np.empty((0, 4))
     limits = [
         [*(sign * stack.frame[2]), sign * (end + beyond) / 2]

@@ -1,0 +1,206 @@
+"""Touches of other probes: places and normals with known errors of known bodies, and files of them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan3d
+from scan3d.bounds import certificate, enclosure
+from scan3d.bounds.planes import outer_corners
+from scan3d.files.points import read_points
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.touches import contradictions
+from scan3d.surfaces.any_shape import shape_of_touches
+from tests.robustness.everyday import EVERYDAY, mesh_of
+from tests.sample_bodies import convex_hausdorff, random_body
+
+
+def touched(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
+    """Places (n, 3) on a mesh and its normals there, with errors of these deviations, the first in diagonals."""
+    rng = np.random.default_rng([seed, count])
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    normals = np.array(mesh.face_normals[face])
+    points = points + place_sd * np.linalg.norm(mesh.extents) * rng.normal(size=points.shape)
+    across = rng.normal(size=normals.shape)
+    across -= (across * normals).sum(axis=1, keepdims=True) * normals
+    size = normal_sd * np.linalg.norm(across, axis=1, keepdims=True)
+    turned = np.cos(size) * normals + np.sin(size) * across / np.linalg.norm(across, axis=1, keepdims=True)
+    return points, turned
+
+
+def bounded(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
+    """The certified bound of the surface from touches over its distance, and whether the volume is in its interval."""
+    points, normals = touched(mesh, count, seed, place_sd, normal_sd)
+    stated = {"place_sd": place_sd * np.linalg.norm(mesh.extents), "normal_sd": normal_sd} if place_sd else {}
+    cloud = scan3d.touches(points, normals, **stated)
+    assert cloud.convex
+    assert not contradictions(cloud)
+    bounds = enclosure(cloud)
+    surface = scan3d.surface(cloud, bounds=bounds)
+    low, high = bounds.volume
+    apart = convex_hausdorff(hull(surface.vertices), mesh)
+    return certificate(bounds, surface).bound / apart, low * (1 - 1e-9) <= mesh.volume <= high * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("noise", [(0.0, 0.0), (1e-4, 0.0), (1e-4, 1e-2), (1e-3, 5e-2)])
+@pytest.mark.parametrize("seed", range(8))
+def test_bounds_hold_for_convex_bodies(seed, noise):
+    ratio, is_inside = bounded(random_body(seed), (80, 300)[seed % 2], seed, *noise)
+    assert ratio >= 1
+    assert is_inside
+
+
+def test_planes_of_all_touches_leave_a_sphere_what_its_tangent_planes_do():
+    """Of a unit sphere touched in the directions of an icosahedron the outer body is the dodecahedron."""
+    points = trimesh.creation.icosahedron().vertices.view(np.ndarray)
+    points = points / np.linalg.norm(points, axis=1, keepdims=True)
+    corners = outer_corners(points, points, np.zeros(12), np.zeros(12))
+    # circumradius over inradius of a dodecahedron
+    expected = np.sqrt(3) / 4 * (1 + np.sqrt(5)) / np.sqrt(25 / 10 + 11 / 10 * np.sqrt(5)) * 2
+    assert np.linalg.norm(corners, axis=1) == pytest.approx(np.full(20, expected), abs=1e-5)
+
+
+def test_a_side_without_touches_is_not_bounded():
+    points, normals = touched(trimesh.creation.icosphere(), 300, 0)
+    cloud = scan3d.touches(points[normals[:, 2] > 0.05], normals[normals[:, 2] > 0.05])
+    assert enclosure(cloud).bound == np.inf
+    on_table = scan3d.touches(cloud.points, cloud.normals, table=-1.0)
+    assert np.isfinite(enclosure(on_table).bound)
+    assert enclosure(scan3d.touches(points)).bound == np.inf
+
+
+@pytest.mark.parametrize("name", ["mug", "bowl", "torus", "chair"])
+def test_bodies_of_any_shape(name):
+    mesh = mesh_of(name)
+    size = np.linalg.norm(mesh.extents)
+    cloud = scan3d.touches(*touched(mesh, 3000, 0))
+    assert not cloud.convex
+    found = shape_of_touches(cloud)
+    assert found.surface.is_watertight
+    assert found.surface.euler_number == EVERYDAY[name].euler
+    assert scan3d.compare(found.surface, mesh).hausdorff < 0.05 * size
+
+
+def test_normals_that_point_inwards_are_turned_and_mixed_ones_refused():
+    mesh = random_body(2)
+    points, normals = touched(mesh, 200, 0)
+    assert scan3d.touches(points, -3 * normals).normals == pytest.approx(normals)
+    with pytest.raises(scan3d.InputError, match="turn all of them outwards"):
+        scan3d.touches(points, normals * np.where(np.arange(200) % 2, 1, -1)[:, None])
+
+
+def test_errors_that_are_not_stated_take_the_certificate_back(call, tmp_path):
+    """Wrong normals contradict the places; wrong places are those of no convex body."""
+    mesh = random_body(1)
+    points, normals = touched(mesh, 400, 0, 0.0, 0.05)
+    cloud = scan3d.touches(points, normals)
+    assert cloud.convex
+    assert "state the normals' deviation" in contradictions(cloud)[0].message
+    assert not contradictions(scan3d.touches(points, normals, normal_sd=0.05))
+    off = touched(mesh, 400, 0, 1e-2)
+    assert not scan3d.touches(*off).convex
+    assert scan3d.touches(*off, place_sd=1e-2 * np.linalg.norm(mesh.extents)).convex
+    path = tmp_path / "touches.csv"
+    np.savetxt(path, np.hstack([points, normals]), delimiter=",", header="x,y,z,nx,ny,nz", comments="")
+    code, out, err = call("surface", path, "--out", tmp_path / "out", "--strict", "--json")
+    assert code == 1
+    assert '"bound": null' in out
+    assert "warning: " in err
+
+
+def test_one_command_from_points_to_a_certificate(call, tmp_path):
+    mesh = random_body(5)
+    points, normals = touched(mesh, 500, 3)
+    path = tmp_path / "ball.xyz"
+    np.savetxt(path, np.hstack([points, normals]))
+    code, out, _ = call("surface", path)
+    assert code == 0
+    assert "certified from touch" in out
+    result = scan3d.open(tmp_path / "ball-scan")
+    assert convex_hausdorff(hull(result.surface.vertices), mesh) <= result.certificate.bound
+    assert result.cloud.points == pytest.approx(points)
+    assert (tmp_path / "ball-scan" / "view.html").exists()
+    with pytest.raises(scan3d.InputError, match="another probe"):
+        _ = result.recording
+
+
+@pytest.mark.parametrize("ending", [".csv", ".ply", ".pcd", ".xyzn"])
+def test_exported_contacts_are_read_as_touches(ending, tmp_path):
+    """As the program writes them, in every format of clouds, single precision within its rounding."""
+    mesh = random_body(5)
+    points, normals = touched(mesh, 100, 1)
+    cloud = scan3d.touches(points, normals, place_sd=0.1, normal_sd=0.02, unit="cm")
+    path = tmp_path / f"cloud{ending}"
+    scan3d.save(cloud, path)
+    again = scan3d.touches(path, unit="cm")
+    assert again.points == pytest.approx(points, rel=1e-6, abs=1e-5)
+    assert again.normals == pytest.approx(normals, abs=1e-6)
+    if ending != ".xyzn":
+        assert again.place_sd == pytest.approx(np.full(100, 0.1))
+        assert again.normal_sd == pytest.approx(np.full(100, 0.02))
+        with pytest.raises(scan3d.InputError, match="is in cm"):
+            scan3d.touches(path, unit="mm")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("X [mm];Y [mm];Z [mm];sigma\n1,5;2;3;0,1\n4;5;6;0,1\n", {"x": [1.5, 4], "place_sd": [0.1, 0.1]}),
+        ("x_m y_m z_m normal_x normal_y normal_z\n1 2 3 0 0 1\n4 5 6 0 1 0\n", {"x": [1, 4], "ny": [0, 1]}),
+        ("x,y,z,normal_sd_deg,quality\n1,2,3,180,good\n4,5,6,90,bad\n", {"normal_sd": [np.pi, np.pi / 2]}),
+        ("1 2 3\n4 5 6\n", {"z": [3, 6]}),
+    ],
+)
+def test_tables_of_other_programs(text, expected, tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    found = read_points(path)
+    for name, values in expected.items():
+        assert found.columns[name] == pytest.approx(np.array(values, dtype=float))
+
+
+def test_clouds_of_cameras_with_places_that_are_missing(tmp_path):
+    path = tmp_path / "cloud.pcd"
+    head = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA {}\n"
+    path.write_text(head.format("ascii") + "1 2 3 0\nnan nan nan 0\n4 5 6 0\n")
+    assert read_points(path).left_out == 1
+    path.write_bytes(head.format("binary").encode() + np.arange(12, dtype="<f4").tobytes())
+    assert read_points(path).columns["y"] == pytest.approx([1, 5, 9])
+    path.write_text(head.format("binary_compressed"))
+    with pytest.raises(scan3d.InputError, match="save it as binary or ascii"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.stl", "", "expected a file ending in"),
+        ("a.csv", "x,y\n1,2\n", "no column z"),
+        ("a.csv", "1,2,3,4\n5,6,7,8\n", "name them in the first line"),
+        ("a.csv", "x_mm,y_mm,z_m\n1,2,3\n", "give all of them in one unit"),
+        ("a.csv", "x,y,z,sd,sigma\n1,2,3,1,1\n", "two columns of place_sd"),
+        ("a.pcd", "FIELDS x y z\nDATA ascii\n1 2 3\n", "not a PCD file"),
+        ("a.pcd", "nothing\n", "no line that begins with DATA"),
+    ],
+)
+def test_files_that_are_no_touches(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(scan3d.InputError, match=message):
+        scan3d.touches(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"points": np.zeros((4, 2))}, "must have the shape"),
+        ({"points": np.full((4, 3), np.nan)}, "not finite"),
+        ({"points": np.eye(3)}, "span no body"),
+        ({"points": np.eye(4)[:, :3], "normals": np.zeros((3, 3))}, "normals must have the shape"),
+        ({"points": np.eye(4)[:, :3], "place_sd": -1.0}, "place_sd must be finite"),
+        ({"points": np.eye(4)[:, :3], "normal_sd": np.ones(3)}, "normal_sd must be one number"),
+        ({"points": np.eye(4)[:, :3], "unit": "foot"}, "unit must be one of"),
+    ],
+)
+def test_arrays_that_are_no_touches(given, message):
+    with pytest.raises(scan3d.InputError, match=message):
+        scan3d.touches(**given)
