@@ -1,9 +1,10 @@
-"""Arcs of supporting planes, and normals by the hull of the contacts, contain the true normals, and apexes the body."""
+"""Arcs of supporting planes, and normals by the hull of the contacts, contain the true normals, and planes the body."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from shapes import unit
@@ -13,9 +14,9 @@ from spatial_scans import recorded
 import planar
 import scan3d
 from planar import Phase
-from scan3d.bounds.constraints import Tangents, best_apexes, cover, thinned
+from scan3d.bounds.planes import outer_body, planes_of_arcs, planes_of_touches
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
-from scan3d.geometry.hulls import edges_of
+from scan3d.geometry.hulls import edges_of, hull
 from scan3d.reconstruction.normals import hull_normals
 from scan3d.spatial.normals import angles
 
@@ -78,45 +79,49 @@ def test_errors_of_places_and_tangents_widen_an_arc():
     assert np.nanmax(angle_beyond(turned[rows], found)) <= 0
 
 
-def test_what_arcs_on_the_faces_of_a_box_leave_of_a_larger_one_encloses_it():
-    rng, (count, half_width) = np.random.default_rng(5), (200, 0.05)
-    axis, side = rng.integers(0, 3, count), rng.choice([-1.0, 1.0], count)
-    normals = np.eye(3)[axis] * side[:, None]
-    points = rng.uniform(-1, 1, (count, 3))
-    points[np.arange(count), axis] = side
+def planes_turned(points, normals, half_width, turn, rng):
+    """Planes of arcs and tangents (n,); the true normals lie anywhere or at the ends, and the tangents are off by `turn`."""
     across = unit(np.cross(normals, rng.normal(size=normals.shape)))
-    # the true normals are at the ends of the arcs
-    off = half_width * rng.choice([-1.0, 1.0], (count, 1))
+    off = rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], (len(normals), 1)) * half_width
     middle, along = np.cos(off) * normals + np.sin(off) * across, np.cos(off) * across - np.sin(off) * normals
-    arcs = Arcs(points, middle, along, np.full(count, half_width))
-    tangents = Tangents(arcs, np.arange(count), np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 0.5]))
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    left = ConvexHull(tangents.enclosing(tangents.to_world(1.2 * corners)))
-    assert (tangents.to_world(corners) @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
-    assert left.volume < 0.9 * 8 * 1.2**3
+    tangents = np.cross(along, middle)
+    lean = rng.choice([-1.0, 1.0], (len(normals), 1)) * turn
+    middle, tangents = np.cos(lean) * middle + np.sin(lean) * tangents, np.cos(lean) * tangents - np.sin(lean) * middle
+    arcs = Arcs(points, middle, along, np.full(len(normals), half_width))
+    nothing = np.zeros(len(normals))
+    return planes_of_arcs(arcs, Places(points, nothing), tangents, np.full(len(normals), turn))
 
 
-def planes_of_ball(count, half_width):
-    """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
+@pytest.mark.parametrize("turn", [0.0, 0.01])
+@pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.05])
+@pytest.mark.parametrize("shape", ["box", "ball"])
+def test_the_planes_of_arcs_enclose_the_body(shape, half_width, turn):
+    rng, count = np.random.default_rng(5), 300
+    if shape == "box":
+        body = trimesh.creation.box([2.0, 1.4, 0.6])
+        points, face = trimesh.sample.sample_surface(body, count, seed=1)
+        normals = body.face_normals[face]
+    else:
+        body = trimesh.creation.icosphere(subdivisions=4)
+        points = normals = unit(rng.normal(size=(count, 3)))
+    corners, far = outer_body(planes_turned(points, normals, half_width, turn, rng), hull(points))
+    assert not len(far)
+    left = ConvexHull(corners)
+    assert (body.vertices @ left.equations[:, :3].T + left.equations[:, 3]).max() < 1e-9
+    assert left.volume < (1.02 + 0.05 * (shape == "ball") + 8 * (half_width + turn)) * body.volume
+
+
+def test_a_body_is_bounded_only_where_planes_close_it():
+    """Of a ball that is touched from above the planes leave open what lies below, and bound the rest as if it were not."""
     rng = np.random.default_rng(0)
-    normals = unit(rng.normal(size=(count, 3)))
-    across = unit(np.cross(normals, rng.normal(size=normals.shape)))
-    off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
-    middle = np.cos(off) * normals + np.sin(off) * across
-    return Arcs(normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width))
-
-
-@pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.02])
-def test_the_apexes_enclose_the_body(half_width):
-    planes = planes_of_ball(300, half_width)
-    found = cover(planes, thinned(planes, 3.0, 0.1))
-    u = unit(np.random.default_rng(1).normal(size=(2000, 3)))
-    refined = best_apexes(planes, lambda points: np.maximum(np.linalg.norm(points, axis=1) - 1, 0.0)).cover
-    for covering in (found, refined):
-        assert np.isfinite(covering.apexes).all()
-        assert (u @ covering.apexes.reshape(-1, 3).T).max(axis=1).min() >= 1
-        assert np.linalg.norm(covering.apexes, axis=2).min() >= 1 - 1e-9
-    assert np.linalg.norm(refined.apexes, axis=2).max() <= np.linalg.norm(found.apexes, axis=2).max()
+    points = unit(rng.normal(size=(1000, 3)))
+    points = points[points[:, 2] > 0.02]
+    nothing = np.zeros(len(points))
+    corners, far = outer_body(planes_of_touches(points, points, nothing, nothing), hull(points))
+    assert len(far)
+    up = unit(rng.normal(size=(500, 3)) * [1, 1, 0.3] + [0, 0, 2])
+    assert (far @ up.T).max() < 0
+    assert 1 <= (corners @ up.T).max(axis=0).max() < 1.02
 
 
 @pytest.fixture(scope="module")

@@ -116,10 +116,10 @@ def _depths(bounds: Enclosure, surface: Any, support: Callable[[Array], Array]) 
     else:
         depths = np.full(len(vertices), np.inf)
     if bounds.directions is not None and bounds.directions.open.any():
-        apexes, is_open = bounds.directions
-        blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // AT_ONCE)
-        lowest = np.concatenate([(block @ apexes.T).argmax(axis=1) for block in blocks])
-        depths[faces[is_open[lowest]]] = np.inf
+        places, is_open = bounds.directions
+        blocks = np.array_split(normals, 1 + len(normals) * len(places) // AT_ONCE)
+        farthest = np.concatenate([(block @ places.T).argmax(axis=1) for block in blocks])
+        depths[faces[is_open[farthest]]] = np.inf
     return np.maximum(depths + bounds.reach, 0.0)
 
 

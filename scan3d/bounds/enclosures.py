@@ -1,8 +1,8 @@
 """An inner and an outer body from touch alone, between which the surface of the true body lies.
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
-leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
-apexes (`scan3d.bounds.constraints`).  Whatever is left is known by its corners: the distance to a convex set is a convex
+leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere a polytope
+(`scan3d.bounds.planes`).  Whatever is left is known by its corners: the distance to a convex set is a convex
 function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is
 therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where
 contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated
@@ -10,19 +10,18 @@ confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else i
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
-K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the apexes v.  The Hausdorff distance of two
-convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
+K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the outer body's corners v.  The Hausdorff
+distance of two convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
 ``sd(x, S) = max_u (<u, x> - h_S(u))``, the distance of a point x from S, negative inside, any convex surface S satisfies
 
-    h_B - h_S = h_K - a - h_S <= max over apexes v of sd(v, S) - a,
+    h_B - h_S = h_K - a - h_S <= max over corners v of sd(v, S) - a,
     h_S - h_B = h_S + a - h_K <= h_S + a - h_H <= max over vertices x of S of sd(x, H) + a.
 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``. The smallest of these numbers counts at each vertex.  Where contacts
-have errors, each of them leaves out a wedge instead (`scan3d.bounds.constraints`), whose errors are those across the rod, and H
-may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it
-is known, is one more supporting plane of K, moved outwards by the rod's radius.
+have errors, H may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below
+the body, if it is known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -49,17 +48,16 @@ from scan3d.bounds.constraints import (
     EXACT,
     Allowed,
     allowed,
-    best_apexes,
+    arcs_of_contacts,
     exact_error,
-    outer_body,
-    tangent_planes,
+    tangential,
 )
 from scan3d.bounds.noise import confident
-from scan3d.bounds.planes import outer_corners
+from scan3d.bounds.planes import Planes, outer_body, planes_of_arcs, planes_of_touches, with_table
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
-from scan3d.geometry.distance import nearest, nearest_on
+from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
 from scan3d.geometry.triangles import dot, face_normals
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
@@ -88,12 +86,12 @@ class SlabCorners(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """Directions in which a body may be unbounded: those of a triangle are the ones in which its apex lies farthest."""
+    """Directions in which a body may be unbounded: those in which a place that is open lies farthest of all."""
 
-    apexes: Array
-    """(m, 3)"""
+    places: Array
+    """(m, 3) the corners of the outer body, and places far away."""
     open: Mask
-    """(m,) whether nothing bounds the body in the directions of the triangle."""
+    """(m,) whether nothing bounds the body towards the place."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -125,7 +123,7 @@ class Enclosure(Described):
     slabs: SlabCorners | None = None
     """More about the corners, if the outer body consists of slabs."""
     directions: Directions | None = None
-    """Where the body is bounded, if the corners are apexes over contacts anywhere."""
+    """Where the body is bounded, if the contacts lie anywhere."""
     tighter: Enclosure | None = None
     """Another enclosure by the same contacts, along whatever axes their slices lie, with a smaller bound."""
 
@@ -312,10 +310,20 @@ def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
         return bounds
     along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
-    tangent = tangent_planes(anywhere, np.full(len(cloud), exact_error(cloud)))
-    corners = tangent.enclosing(bounds.corners)
+    places = Places(cloud.points, np.full(len(cloud), exact_error(cloud)))
+    corners, far = outer_body(_planes(anywhere, places, np.full(len(cloud), EXACT)), bounds.inner)
+    if len(far):
+        return bounds
     gap = np.maximum(nearest(corners, bounds.inner)[0], 0.0)
     return _tightened(bounds, corners, gap, exact_error(cloud))
+
+
+def _planes(cloud: Cloud, places: Places, turns: Array) -> Planes:
+    """The planes of the tangential contacts of a cloud with places (n,), and errors (n,) of their tangents in radians."""
+    assert cloud.tangents is not None
+    rows = tangential(cloud)
+    arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
+    return planes_of_arcs(arcs, places.select(rows), cloud.tangents[rows], turns[rows])
 
 
 def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> Enclosure:
@@ -484,66 +492,34 @@ def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]
 
 def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> Enclosure:
     """The enclosure by contacts anywhere; the arguments are those of `enclosure`."""
+    assert cloud.centre_points is not None
+    assert cloud.tangents is not None
     if not len(cloud):
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
+    allow = allowed(cloud, confidence) if margin is None else None
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
-    if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
-        if cloud.place_sd is None:
-            return _by_apexes(cloud, errors, 1.0)
-        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 1.0)
-    allow = allowed(cloud, confidence)
-    places, turns = _certain(cloud, errors + allow.place), np.zeros(len(cloud))
-    if cloud.place_sd is not None:
-        assert allow.kappa is not None
-        if cloud.centre_covariance is None:
-            places = places._replace(errors=places.errors + allow.kappa * cloud.place_sd)
-        else:
-            places = places._replace(spread=allow.kappa**2 * cloud.centre_covariance)
-        turns = _TURN * places.largest() / cloud.rod_length
-        if cloud.tangent_sd is not None:
-            turns = EXACT + allow.kappa * cloud.tangent_sd
-    return _by_wedges(cloud, places, turns + allow.turn, allow.confidence)
-
-
-def _certain(cloud: Cloud, errors: Array) -> Places:
-    """The centre points with errors (n,) that are alike in all directions."""
-    assert cloud.centre_points is not None
-    return Places(cloud.centre_points, errors)
-
-
-def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
-    """The enclosure by all contacts of a cloud with exact tangents and errors (n,) of their places."""
-    assert cloud.centre_points is not None
-    tangent = tangent_planes(cloud, errors)
-    centre_hull = hull(cloud.centre_points)
-    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
-    apexes = best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
-    if apexes is None:
-        corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
-    else:
-        corners = np.unique(tangent.to_world(apexes.cover.apexes[~apexes.open].reshape(-1, 3)), axis=0)
-        directions = Directions(tangent.to_world(apexes.cover.nominal), apexes.open)
-    margin, normals = float(errors.max()), tangent.normals()
-    bodies = ((centre_hull, cloud.rod_radius + margin), *_bodies_by_arcs(cloud, tangent.rows, normals, margin))
-    inner = _inner_body(cloud, centre_hull)
-    return _anywhere(cloud, (inner, bodies, margin), corners, directions, confidence)
-
-
-def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
-    """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
-    candidates = _inner_bodies(cloud, places)
-    found = outer_body(cloud, places, turns, candidates[0][0])
-    is_open = np.isinf(found.gap)
-    corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
-    # what stands for the body where nothing bounds it
-    far = 1e3 * float(np.linalg.norm(np.ptp(places.points, axis=0)))
-    apexes = np.where(
-        is_open[:, None],
-        found.centre + far * unit(found.directions),
-        np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
-    )
-    directions = Directions(apexes, is_open)
-    return _best_within(cloud, candidates, corners, directions, confidence)
+    places, turns = Places(cloud.centre_points, errors), np.full(len(cloud), EXACT)
+    if margin is not None:
+        turns += _TURN * (errors / cloud.rod_length) * (cloud.place_sd is not None)
+    elif allow is not None and (cloud.place_sd is not None or cloud.calibration is not None):
+        places = places._replace(errors=errors + allow.place)
+        if cloud.place_sd is not None:
+            assert allow.kappa is not None
+            if cloud.centre_covariance is None:
+                places = places._replace(errors=places.errors + allow.kappa * cloud.place_sd)
+            else:
+                places = places._replace(spread=allow.kappa**2 * cloud.centre_covariance)
+            by_sd = cloud.tangent_sd
+            turns += _TURN * places.largest() / cloud.rod_length if by_sd is None else allow.kappa * by_sd
+        turns = turns + allow.turn
+    planes, within = _planes(cloud, places, turns), _inner_bodies(cloud, places)
+    if places.spread is None and cloud.rod_radius:
+        # more of the body follows where normals are known
+        within = [
+            (inner, (*bodies, *_bodies_by_arcs(cloud, planes, margin)), margin) for inner, bodies, margin in within
+        ]
+    planes = with_table(planes, None if cloud.table is None else cloud.table - cloud.rod_radius)
+    return _best_within(cloud, within, planes, 1.0 if allow is None else allow.confidence)
 
 
 def _by_planes(cloud: Cloud, margin: float | None, confidence: float) -> Enclosure:
@@ -556,15 +532,8 @@ def _by_planes(cloud: Cloud, margin: float | None, confidence: float) -> Enclosu
         assert cloud.normal_sd is not None
         places = places._replace(spread=allow.kappa**2 * cloud.covariance)
         turns += allow.kappa * cloud.normal_sd
-    points, normals, off = cloud.points, cloud.normals, places.largest()
-    if cloud.table is not None:
-        below = np.append(points.mean(axis=0)[:2], cloud.table)
-        points, normals = np.vstack([points, below]), np.vstack([normals, [0.0, 0.0, -1.0]])
-        off, turns = np.append(off, 0.0), np.append(turns, 0.0)
-    candidates, corners = _inner_bodies(cloud, places), outer_corners(points, normals, off, turns)
-    directions = Directions(np.zeros((1, 3)), np.array([corners is None]))
-    corners = np.empty((0, 3)) if corners is None else corners
-    return _best_within(cloud, candidates, corners, directions, allow.confidence if margin is None else 1.0)
+    planes = with_table(planes_of_touches(places.points, cloud.normals, places.largest(), turns), cloud.table)
+    return _best_within(cloud, _inner_bodies(cloud, places), planes, allow.confidence if margin is None else 1.0)
 
 
 _Within = tuple[Any, tuple[tuple[Any, float], ...], float]
@@ -586,10 +555,11 @@ def _inner_bodies(cloud: Cloud, places: Places) -> list[_Within]:
     return candidates
 
 
-def _best_within(
-    cloud: Cloud, candidates: list[_Within], corners: Array, directions: Directions, confidence: float
-) -> Enclosure:
-    """The enclosure with the smallest bound by one of several inner bodies."""
+def _best_within(cloud: Cloud, candidates: list[_Within], planes: Planes, confidence: float) -> Enclosure:
+    """The enclosure with the smallest bound by planes and one of several inner bodies."""
+    corners, far = outer_body(planes, candidates[0][1][0][0])
+    is_far = np.arange(len(corners) + len(far)) >= len(corners)
+    directions = Directions(np.concatenate([corners, far]), is_far)
     bounds = [_anywhere(cloud, within, corners, directions, confidence) for within in candidates]
     return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
 
@@ -658,19 +628,10 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
     return lower, max(float(ConvexHull(corners).volume) - shell, lower)
 
 
-def _bodies_by_arcs(
-    cloud: Cloud, rows: Index, normals: tuple[Array, Array], margin: float
-) -> Iterator[tuple[Any, float]]:
-    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out.
-
-    normals
-        the middles (k, 3) of the arcs of the contacts `rows`, and the largest angles (k,) from them.
-    """
-    radius, (middle, angle) = cloud.rod_radius, normals
-    if not radius:
-        return
-    assert cloud.centre_points is not None
-    points = cloud.centre_points[rows] - radius * middle
+def _bodies_by_arcs(cloud: Cloud, planes: Planes, margin: float) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from planes of exact tangents, and how far they may stick out."""
+    radius, angle = cloud.rod_radius, np.arctan(planes.slopes[:, 0])
+    points = planes.points - radius * planes.normals
     # radians from the middles of the arcs
     for widest in (1e-4, 1e-3, 1e-2):
         narrow = angle <= widest

@@ -1,96 +1,180 @@
-"""The outer body of touches with measured normals: their supporting planes, and how far errors move these outwards.
+"""The outer body of contacts anywhere: supporting planes whose normals are not certain, and how far that moves them outwards.
 
-A convex body K with the outward normal n at its point p has ``<n, x - p> <= 0`` for all of its points x.  Measured are p̂ within
-e of p, and n̂ within the angle ε of n.  With ``n = cos ε' n̂ + sin ε' t``, ``ε' <= ε`` and t across n̂,
+A convex body K with the outward normal n at its point p has ``<n, x - p> <= 0`` for all of its points x.  Known are a place
+near p, and a middle normal ν near n.
 
-    <n̂, x - p̂> <= e (1 + tan ε) + tan ε |x - p̂|_n̂,
+A contact of a rod has the rod's tangent t in its plane, and n lies on an arc ``cos θ ν + sin θ τ``, ``|θ| <= δ``, with τ across
+t (`scan3d.geometry.arcs`).  With the error e of the place, a norm, and the error ε of the tangent, divided by cos θ,
 
-where the last is the distance across n̂.  In a box around the touches it is at most that of a corner.  If the planes so moved
-enclose a polytope in the interior of the box, then K lies in it, since K is connected and has points in the box.  Of this
-polytope the part beyond ``e (1 + tan ε)`` is a cap, in which alone the last term counts, and the distance across n̂ is largest
-at one of the cap's corners: so the planes are moved back, and again from the polytope that they enclose then.
+    <ν, x - p̂> <= (max e at the arc's ends / cos δ + ε e(t)) / cos δ + tan δ |<τ, x - p̂>| + ε / cos δ |<t, x - p̂>|,
+
+since n is a combination of the arc's ends whose factors add up to at most 1 / cos δ.  A touch of another probe has a measured
+normal that is off by an angle of at most ε in any direction, and
+
+    <ν, x - p̂> <= e (1 + tan ε) + tan ε |x - p̂ across ν|.
+
+So each plane is moved outwards by an error, and by slopes times distances within the plane.  In a box around the contacts these
+are at most those of its corners.  If the planes so moved enclose a polytope in the interior of the box, then K lies in it,
+since K is connected and has points in the box.  Of this polytope the part beyond the plane that is moved by the error alone is
+a cap, in which alone the slopes count, and the distances are largest at the cap's corners: so the planes are moved back, and
+again from the polytope that they enclose then.
 """
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from scan3d.arrays import AT_ONCE, OCTANTS, Array, evenly, ratio
-from scan3d.geometry.hulls import cut_polytope, edges_of
+from scan3d.arrays import OCTANTS, Array, Index, Mask, ratio
+from scan3d.geometry.arcs import Arcs, Places
+from scan3d.geometry.hulls import Corners, corners_of_planes
 from scan3d.geometry.triangles import dot
 
-# Planes of more touches say nearly the same as those between them.
-_MOST = 4000
-# Part of the diagonal to which planes cut: what cuts less deep is left.
+# Part of the diagonal within which a corner lies on the box.
 _LEAST = 1e-6
-# Sizes of the box, over that of the touches, up to which it is tried, and their ratio.
-_LARGEST, _RATIO = 20.0, 1.6
-# The planes are moved back until the farthest corner comes nearer by less than this part, or so often.
-_NEARER, _ROUNDS = 0.02, 8
+# Sizes of the box, over that of the contacts, beyond which a body counts as open, their ratio, and how much farther away open
+# places are.
+_LARGEST, _RATIO, _FAR = 20.0, 1.6, 1e6
+# The planes are moved back until they are moved by less than this part less, or so often.
+_LESS, _ROUNDS = 0.02, 8
+# Normals that are less certain say nothing.
+_WIDEST = np.pi / 4
 
 
-def outer_corners(points: Array, normals: Array, errors: Array, turns: Array) -> Array | None:
-    """Corners (w, 3) of a polytope that contains every convex body with these touches; None if they leave it open.
+class Planes(NamedTuple):
+    """Planes (n,) outside of which a body may lie by an error, and by slopes times distances within the plane."""
 
-    points, normals (n, 3)
-        the places, and unit vectors outwards.
-    errors, turns (n,)
-        the largest errors of the places, in their unit, and of the normals, in radians.
+    points: Array
+    """(n, 3)"""
+    normals: Array
+    """(n, 3) unit vectors outwards."""
+    errors: Array
+    """(n,)"""
+    slopes: Array
+    """(n, 2)"""
+    along: Array
+    """(n, 2, 3) unit vectors across the normals, along which the distances are measured."""
+    alike: Mask
+    """(n,) whether the first slope counts in all directions across the normal."""
+
+    def select(self, rows: Index | Mask) -> Planes:
+        columns: list[Any] = [column[rows] for column in self]
+        return Planes(*columns)
+
+    def moved(self, places: Array) -> Array:
+        """(...) by how much planes (...) are moved outwards so that the body may lie at places (..., 3), but for the errors."""
+        steps = places - self.points
+        distances = np.abs(np.einsum("...x,...kx->...k", steps, self.along))
+        height = dot(steps, self.normals)
+        across = np.sqrt(np.maximum(dot(steps, steps) - height**2, 0.0))
+        return np.where(self.alike, self.slopes[..., 0] * across, (self.slopes * distances).sum(axis=-1))
+
+
+def planes_of_arcs(arcs: Arcs, places: Places, tangents: Array, turns: Array) -> Planes:
+    """The planes (k,) of contacts of a rod: of arcs whose normals are known well enough.
+
+    places, tangents (n,), turns (n,)
+        of the contacts, the tangents' errors in radians.
     """
-    usable = np.flatnonzero(np.isfinite(normals).all(axis=1) & (turns < np.pi / 4))
-    rows = evenly(usable, _MOST)
-    if len(rows) < 4:
-        return None
+    known = np.flatnonzero(arcs.half_width + turns < _WIDEST)
+    arcs, places, tangents, turns = arcs.select(known), places.select(known), tangents[known], turns[known]
+    cosine = np.cos(arcs.half_width)
+    off = places.along(arcs.ends()).max(axis=1) / cosine + turns * places.along(tangents[:, None])[:, 0]
+    slopes = np.stack([np.tan(arcs.half_width), turns / cosine], axis=1)
+    along = np.stack([arcs.across, tangents], axis=1)
+    return Planes(places.points, arcs.middle, off / cosine, slopes, along, np.zeros(len(known), dtype=bool))
+
+
+def planes_of_touches(points: Array, normals: Array, errors: Array, turns: Array) -> Planes:
+    """The planes (k,) of those touches (n,) of another probe whose normals are known, with errors of both, in radians."""
+    known = np.flatnonzero(np.isfinite(normals).all(axis=1) & (turns < _WIDEST))
+    slope = np.tan(turns[known])
+    nothing = np.zeros((len(known), 2, 3))
+    off = errors[known] * (1 + slope)
+    slopes = np.stack([slope, np.zeros(len(known))], axis=1)
+    return Planes(points[known], normals[known], off, slopes, nothing, np.ones(len(known), dtype=bool))
+
+
+def with_table(planes: Planes, height: float | None) -> Planes:
+    """The planes and that of a table, nothing of the body below which lies."""
+    if height is None:
+        return planes
+    point = np.append(planes.points.mean(axis=0)[:2] if len(planes.points) else np.zeros(2), height)
+    added = (point, [0.0, 0.0, -1.0], 0.0, [0.0, 0.0], np.zeros((2, 3)), True)
+    return Planes._make(
+        np.concatenate([column, np.array(row)[None]]) for column, row in zip(planes, added, strict=True)
+    )
+
+
+class Outer(NamedTuple):
+    """A polytope around a body, which is open where it reaches the box in which it was sought."""
+
+    corners: Array
+    """(w, 3) that bound the body."""
+    far: Array
+    """(f, 3) places, much farther, towards which it is open."""
+
+
+def outer_body(planes: Planes, body: Any) -> Outer:
+    """The polytope that contains every convex body within the planes, and the convex mesh `body`.
+
+    Towards far places nothing bounds it.  In a direction in which none of them lies farther than the mesh the corners bound it
+    nevertheless: the way from a point of the mesh to one of the body beyond the box leaves the box in the polytope, where it
+    has not gone farther in this direction.
+    """
+    points = body.vertices.view(np.ndarray)
     inside, size = points.mean(axis=0), float(np.linalg.norm(np.ptp(points, axis=0)))
-    points, normals, slope = points[rows], normals[rows], np.tan(turns[rows])
-    value = dot(normals, points) + errors[rows] * (1 + slope)
-    half = 1.1 * float(np.abs(points - inside).max()) + float(errors.max())
-    while half < _LARGEST * size:
-        apart = np.max([_across(inside + half * corner - points, normals) for corner in OCTANTS], axis=0)
-        corners = _polytope(normals, value + slope * apart, inside, half, size)
-        if float(np.abs(corners - inside).max()) < half - _LEAST * size:
+    value = dot(planes.normals, planes.points) + planes.errors
+    half = 1.1 * float(np.abs(points - inside).max()) + float(planes.errors.max(initial=0.0))
+    while True:
+        move = np.max([planes.moved(inside + half * corner) for corner in OCTANTS], axis=0)
+        corners = _polytope(planes.normals, value + move, inside, half)
+        if float(np.abs(corners - inside).max()) < half - _LEAST * size or half > _LARGEST * size:
             break
         half *= _RATIO
-    else:
-        return None
-    farthest = np.inf
-    for _ in range(_ROUNDS if slope.any() else 0):
-        closer = float(np.linalg.norm(corners - inside, axis=1).max())
-        if closer > (1 - _NEARER) * farthest:
+    left = np.inf
+    for _ in range(_ROUNDS if planes.slopes.any() else 0):
+        move = _caps(corners, planes, value)
+        if float(move.sum()) > (1 - _LESS) * left:
             break
-        farthest = closer
-        corners = _polytope(normals, value + slope * _caps(corners, points, normals, value), inside, half, size)
-    return corners
+        left = float(move.sum())
+        corners = _polytope(planes.normals, value + move, inside, half)
+    is_far = np.abs(corners - inside).max(axis=1) >= half - _LEAST * size
+    return Outer(corners[~is_far], inside + _FAR * (corners[is_far] - inside))
 
 
-def _across(steps: Array, normals: Array) -> Array:
-    """(..., n) lengths of steps (..., n, 3) across unit vectors (n, 3)."""
-    along = dot(steps, normals)
-    return np.sqrt(np.maximum(dot(steps, steps) - along**2, 0.0))
-
-
-def _polytope(normals: Array, values: Array, inside: Array, half: float, size: float) -> Array:
+def _polytope(normals: Array, values: Array, inside: Array, half: float) -> Array:
     """Corners (w, 3) of what planes leave of a cube about a point inside."""
-    return cut_polytope(np.empty((0, 4)), np.column_stack([normals, values]), inside, half / 2, _LEAST * size)
+    cube = np.concatenate([np.eye(3), -np.eye(3)])
+    of_cube = np.column_stack([cube, cube @ inside + half])
+    return corners_of_planes(np.concatenate([of_cube, np.column_stack([normals, values])]), inside)
 
 
-def _caps(corners: Array, points: Array, normals: Array, value: Array) -> Array:
-    """(n,) the largest distances across normals from touches at which the hull of corners (w, 3) lies beyond their planes."""
-    qhull = ConvexHull(corners, qhull_options="Qt Q12")
-    numbers, edges = edges_of(qhull)
-    corners = corners[numbers]
-    found = []
-    for rows in np.array_split(np.arange(len(points)), 1 + len(points) * len(edges) // AT_ONCE):
-        above = corners @ normals[rows].T - value[rows]
-        beyond = above > 0
-        corner, of_corner = np.nonzero(beyond)
-        edge, of_edge = np.nonzero(beyond[edges[:, 0]] != beyond[edges[:, 1]])
-        first, second = above[edges[edge, 0], of_edge], above[edges[edge, 1], of_edge]
-        part = ratio(first, first - second)[:, None]
-        crossing = (1 - part) * corners[edges[edge, 0]] + part * corners[edges[edge, 1]]
-        places, row = np.concatenate([corners[corner], crossing]), np.concatenate([of_corner, of_edge])
-        apart = np.zeros(len(rows))
-        np.maximum.at(apart, row, _across(places - points[rows][row], normals[rows][row]))
-        found.append(apart)
-    return np.concatenate(found)
+def _caps(corners: Array, planes: Planes, value: Array) -> Array:
+    """(n,) by how much planes are moved outwards for the part of the hull of corners (w, 3) that lies beyond them.
+
+    The corners of a cap are linked by edges, which are followed from the farthest one.
+    """
+    hull = Corners(ConvexHull(corners, qhull_options="Qt Q12"))
+    moved, plane, corner = np.zeros(len(value)), np.arange(len(value)), hull.highest(planes.normals)
+    before = np.empty(0, dtype=np.int64)
+    above = dot(planes.normals, hull.points[corner]) - value
+    while len(plane := plane[above > 0]):
+        corner, above = corner[above > 0], above[above > 0]
+        which, _, other = hull.beside(corner)
+        there = dot(planes.normals[plane[which]], hull.points[other]) - value[plane[which]]
+        crosses = there <= 0
+        here = above[which[crosses]]
+        part = ratio(here, here - there[crosses])[:, None]
+        crossing = (1 - part) * hull.points[corner[which[crosses]]] + part * hull.points[other[crosses]]
+        row = np.concatenate([plane, plane[which[crosses]]])
+        np.maximum.at(moved, row, planes.select(row).moved(np.concatenate([hull.points[corner], crossing])))
+        # of the corners beyond those of this round and of the one before are known
+        this = plane * len(hull.points) + corner
+        code = np.unique(plane[which[~crosses]] * len(hull.points) + other[~crosses])
+        code = code[~np.isin(code, np.concatenate([before, this]))]
+        before, (plane, corner) = this, np.divmod(code, len(hull.points))
+        above = dot(planes.normals[plane], hull.points[corner]) - value[plane]
+    return moved

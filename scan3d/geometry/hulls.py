@@ -397,35 +397,47 @@ def hull_about_mean(points: Array) -> ConvexHull | None:
         return None
 
 
-def support_of(qhull: ConvexHull) -> Callable[[Array], Array]:
-    """The support function (d,) of Qhull's hull in directions (d, 3), to rounding, in a small part of the time of `highest`.
+class Corners:
+    """The vertices of Qhull's hull, which its edges link, so that what is highest is found without looking at all of them."""
 
-    From a vertex of the facet with the nearest normal, edges lead up to the highest vertex.
-    """
-    vertices, edges = edges_of(qhull)
-    points, facets = qhull.points[vertices], np.searchsorted(vertices, qhull.simplices)
-    links = np.concatenate([edges, edges[:, ::-1]])
-    links = links[np.lexsort(links.T[::-1])]
-    degree = np.bincount(links[:, 0], minlength=len(points))
-    first = np.cumsum(degree) - degree
-    facing = cKDTree(qhull.equations[:, :3])
+    def __init__(self, qhull: ConvexHull) -> None:
+        vertices, edges = edges_of(qhull)
+        self.points: Array = qhull.points[vertices]
+        """(v, 3)"""
+        self._facets, self._facing = np.searchsorted(vertices, qhull.simplices), cKDTree(qhull.equations[:, :3])
+        links = np.concatenate([edges, edges[:, ::-1]])
+        links = links[np.lexsort(links.T[::-1])]
+        self._beside, self._degree = links[:, 1], np.bincount(links[:, 0], minlength=len(vertices))
+        self._first = np.cumsum(self._degree) - self._degree
 
-    def support(directions: Array) -> Array:
-        at = facets[facing.query(unit_or_zero(directions))[1], 0]
-        height = dot(directions, points[at])
-        rows = np.arange(len(at))
+    def beside(self, at: Index) -> tuple[Index, Index, Index]:
+        """The vertices (k,) that edges link to those with numbers (n,): which of the n it is, how often that came before, and
+        their own numbers."""
+        which, place = ranges(self._degree[at])
+        return which, place, self._beside[self._first[at][which] + place]
+
+    def highest(self, directions: Array) -> Index:
+        """The numbers (d,) of the vertices that lie highest in directions (d, 3).
+
+        From a vertex of the facet with the nearest normal, edges lead up.
+        """
+        at = self._facets[self._facing.query(unit_or_zero(directions))[1], 0]
+        height, rows = dot(directions, self.points[at]), np.arange(len(at))
         while len(rows):
-            which, place = ranges(degree[at[rows]])
-            beside = links[first[at[rows]][which] + place, 1]
-            heights = dot(directions[rows][which], points[beside])
+            which, place, beside = self.beside(at[rows])
+            heights = dot(directions[rows][which], self.points[beside])
             best = np.maximum.reduceat(heights, np.flatnonzero(place == 0))
             higher = best > height[rows]
             up = np.flatnonzero((heights == best[which]) & higher[which])
             at[rows[which[up]]], height[rows] = beside[up], np.maximum(best, height[rows])
             rows = rows[higher]
-        return height
+        return at
 
-    return support
+
+def support_of(qhull: ConvexHull) -> Callable[[Array], Array]:
+    """The support function (d,) of Qhull's hull in directions (d, 3), to rounding, in a small part of the time of `highest`."""
+    corners = Corners(qhull)
+    return lambda directions: dot(directions, corners.points[corners.highest(directions)])
 
 
 def hull_near(points: Array, faces: Index) -> Any:
@@ -549,7 +561,7 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
     box = np.concatenate([np.eye(3), -np.eye(3)])
     planes = np.concatenate([first, np.column_stack([box, box @ inside + 2 * size])])
     used = np.zeros(len(others), dtype=bool)
-    vertices = _vertices(planes, inside)
+    vertices = corners_of_planes(planes, inside)
     for _ in range(20):
         if not len(others):
             break
@@ -562,7 +574,7 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
             break
         used[added] = True
         planes = np.concatenate([planes, others[added]])
-        vertices = _vertices(planes, inside)
+        vertices = corners_of_planes(planes, inside)
     return vertices
 
 
@@ -580,7 +592,7 @@ def clipped(vertices: Array, planes: Array) -> Array:
     except QhullError:  # between points that coincide up to rounding
         apart = np.unique(representatives(vertices, NEGLIGIBLE * size))
         equations = ConvexHull(vertices[apart], qhull_options="Qt Q12").equations
-    return _vertices(np.concatenate([equations * [1, 1, 1, -1], cutting]), middle)
+    return corners_of_planes(np.concatenate([equations * [1, 1, 1, -1], cutting]), middle)
 
 
 def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:
@@ -591,7 +603,7 @@ def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:
     return plane, np.concatenate([depth.max(axis=1) for depth in found])
 
 
-def _vertices(planes: Array, inside: Array) -> Array:
+def corners_of_planes(planes: Array, inside: Array) -> Array:
     """Vertices (v, 3) of the polytope of planes, none of which passes through or beyond the point inside."""
     offset = planes[:, 3] - planes[:, :3] @ inside
     dual = planes[offset > 0, :3] / offset[offset > 0, None]
