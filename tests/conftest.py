@@ -182,4 +182,4 @@ def undiagnosed(monkeypatch):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.pictures.canvas.can_render", lambda: False)
+    monkeypatch.setattr("scan3d.pictures.canvas.can_render", lambda *_: False)

@@ -35,7 +35,7 @@ SUMMARIES = {"summary.csv", "batch.json"}
 def without_renderer(request, monkeypatch):
     """No pictures, which take longer than everything else, in this process and in its children."""
     if "rendering" not in request.keywords:
-        monkeypatch.setattr(canvas, "can_render", lambda: False)
+        monkeypatch.setattr(canvas, "can_render", lambda *_: False)
         monkeypatch.setenv(canvas.WINDOW, "vtkXOpenGLRenderWindow")
         monkeypatch.delenv("DISPLAY", raising=False)
 

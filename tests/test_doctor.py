@@ -18,12 +18,12 @@ _VERSION = doctor._version
 def well(monkeypatch):
     """Nothing is missing, and no child process is run."""
     monkeypatch.setattr(doctor, "_error_of", lambda code: None)
-    monkeypatch.setattr(canvas, "can_render", lambda: True)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: True)
 
 
 @pytest.mark.slow
 def test_a_scan_is_tried(monkeypatch):
-    monkeypatch.setattr(canvas, "can_render", lambda: True)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: True)
     tried = doctor._error_of
     monkeypatch.setattr(doctor, "_error_of", lambda code: None if "import open3d" in code else tried(code))
     state = doctor.examine()
@@ -67,7 +67,7 @@ def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
 def test_missing_system_libraries(monkeypatch, platform, known):
     found = "libGL.so.1: no such file"
     monkeypatch.setattr(doctor, "_error_of", lambda code: found if "import open3d" in code else None)
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
     state = doctor.examine()
     assert state["ok"]

@@ -94,7 +94,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demonstration has few slices, no scan draws, and batches and pictures need no process: other tests show these."""
     monkeypatch.setattr(verbs, "DEMO_SETTINGS", SETTINGS)
     monkeypatch.setattr(workers, "Workers", Threads)
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     monkeypatch.setattr(drawing, "draw", drawing._pictures)
 
 
@@ -144,7 +144,7 @@ def test_every_command_and_all_code_of_a_page_runs(
                 command, _, comment = line.partition("    # ")
                 words = shlex.split(command)
                 assert words[0] == "scan3d"
-                monkeypatch.setattr(canvas, "can_render", lambda shown=words[1] == "show": shown)
+                monkeypatch.setattr(canvas, "can_render", lambda *_, shown=words[1] == "show": shown)
                 assert main(words[1:]) == (1 if comment == "refused" else 0), line
                 if words[1] == "reconstruct":
                     report = Path(words[words.index("--out") + 1], "report.json").read_text(encoding="utf-8")
@@ -171,7 +171,7 @@ def test_the_readme_is_short_and_begins_with_a_moving_picture_and_the_installati
 def test_the_readme_shows_what_the_demonstration_prints(
     tmp_path: Path, all_samples: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
     (shown,) = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "text")
@@ -182,7 +182,7 @@ def test_the_readme_shows_what_the_demonstration_prints(
 def test_the_readme_has_the_exactness_that_scans_print(
     tmp_path: Path, all_samples: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     rows = re.findall(r"^\| (\w+\.\w+) \| (.+?) \| (.+?) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
     assert len(rows) == 3
     for name, distance, bound in rows:

@@ -18,7 +18,11 @@ JOBS = [(".png", {"view": "cloud"})]
 
 @pytest.fixture
 def renderer(monkeypatch):
-    monkeypatch.setattr(canvas, "can_render", lambda: True)
+    """A renderer that has been tried, and no child that is left from another test."""
+    monkeypatch.setattr(canvas, "can_render", lambda *_: True)
+    drawing._end_idle()
+    yield
+    drawing._end_idle()
 
 
 class DrawnHere(contextlib.nullcontext):
@@ -34,6 +38,7 @@ def test_a_child_draws_while_a_scan_compares_and_as_this_process_does_afterwards
     """Whatever its matplotlibrc."""
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\naxes.linewidth: 5\n")
     monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
+    drawing._end_idle()
     scan = scan3d.scan(CUBE, tmp_path / "early", **SETTINGS)
     monkeypatch.setattr(pipeline, "Drawing", lambda: DrawnHere(DrawnHere()))
     scan.save(tmp_path / "late")
@@ -81,7 +86,7 @@ def test_a_child_ends_with_the_process_that_started_it():
         "import os, time; from scan3d.pictures import drawing\n"
         "child = drawing.Drawing()\n"
         "while child._child is None: time.sleep(0.01)\n"
-        "print(child._child.pid, flush=True); os.kill(os.getpid(), 9)"
+        "print(child._child.process.pid, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 

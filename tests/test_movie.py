@@ -49,7 +49,7 @@ def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
 
 
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     for change, name, sentence in (
         ({}, "x.mp4", r"a movie is written as \.gif, got 'x\.mp4'"),
         (dict(contacts=None), "x.gif", "egg does not say which slices its contacts lie in"),

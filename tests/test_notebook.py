@@ -124,7 +124,7 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
 
 
 def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
-    monkeypatch.setattr(canvas, "can_render", lambda: True)  # it is refused before anything is drawn
+    monkeypatch.setattr(canvas, "can_render", lambda *_: True)  # it is refused before anything is drawn
     mesh = scanned(CUBE).truth
     for what, options, sentence in (
         ([1, 2], {}, r"only a recording, a cloud or a surface \(trimesh.Trimesh\) can be plotted, got a list"),

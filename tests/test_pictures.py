@@ -297,7 +297,7 @@ def test_the_view_that_explains(make, tmp_path):
     ],
 )
 def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, missing, view, sentence):
-    monkeypatch.setattr(canvas, "can_render", lambda: True)  # it is refused before anything is drawn
+    monkeypatch.setattr(canvas, "can_render", lambda *_: True)  # it is refused before anything is drawn
     with pytest.raises(scan3d.InputError, match=sentence):
         views.picture(replace(cube, **dict.fromkeys(missing)), tmp_path / "x.png", view)
     assert not list(tmp_path.iterdir())

@@ -183,7 +183,7 @@ def test_the_installed_command_gives_the_same_files_as_this_process_with_the_sam
     assert f"written to         {folder}" in done.stdout
     assert re.fullmatch(r"(scan3d: [\d.]+ s: .*\n)*", done.stderr) or not pictures
     assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
-    monkeypatch.setattr(canvas, "can_render", lambda: False)
+    monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     again = scan(tmp_path / "again", *ROUGH, "--seed", "5")
     assert RESULTS == {path.name for path in again.iterdir()} == {path.name for path in folder.iterdir()} - pictures
     for name in RESULTS:

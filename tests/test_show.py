@@ -113,7 +113,7 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
 def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     picture, other = tmp_path / "difference.png", tmp_path / "other"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "can_render", lambda: False)
+        patch.setattr(canvas, "can_render", lambda *_: False)
         recording = folder / "recording.csv"
         assert call("reconstruct", recording, "--out", other, "--method", "hull", "--quiet")[0] == 0
     assert shown("--screenshot", picture, "--html", tmp_path / "a.html", "--against", other)[0] == 0

@@ -55,23 +55,28 @@ NO_RENDERER = (
 )
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 """The environment variable that names the class of VTK's windows."""
-_is_assumed = False
+_is_known: bool | None = None
 
 
 class NoRendererError(InputError):
     """Nothing can be rendered on this machine."""
 
 
-@functools.cache
-def can_render() -> bool:
-    """Whether VTK can render off screen on this machine, tried in a child process once."""
-    if sys.platform == "linux" and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
-        # by default VTK tries X first, and prints warnings without a display
-        os.environ[WINDOW] = "vtkEGLRenderWindow"
-        if renders():
-            return True
-        del os.environ[WINDOW]
-    return renders()
+def can_render(trial: Callable[[], bool] | None = None) -> bool:
+    """Whether VTK can render off screen on this machine, which is tried once, by a child process that ends or by the trial."""
+    global _is_known
+    if _is_known is None:
+        trial = trial or renders
+        if sys.platform == "linux" and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
+            # by default VTK tries X first, and prints warnings without a display
+            os.environ[WINDOW] = "vtkEGLRenderWindow"
+            try:
+                _is_known = trial() or None
+            finally:
+                if not _is_known:
+                    del os.environ[WINDOW]
+        _is_known = _is_known or trial()
+    return _is_known
 
 
 def renders(*, on_screen: bool = False) -> bool:
@@ -93,14 +98,14 @@ def renders(*, on_screen: bool = False) -> bool:
 
 
 def assume_renderer() -> None:
-    """Let `need_renderer` try nothing, in a process that has been started to render."""
-    global _is_assumed
-    _is_assumed = True
+    """Let `can_render` try nothing, in a process that has been started to render."""
+    global _is_known
+    _is_known = True
 
 
-def need_renderer() -> None:
+def need_renderer(trial: Callable[[], bool] | None = None) -> None:
     """Raises NoRendererError where `can_render` is false."""
-    if not (_is_assumed or can_render()):
+    if not can_render(trial):
         raise NoRendererError(NO_RENDERER)
 
 

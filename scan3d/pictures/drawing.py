@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import pickle
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
-from concurrent.futures import Future
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 from scan3d.choices import CHARTS
@@ -27,6 +30,9 @@ Job = tuple[str, dict[str, Any]]
 
 # A driver that hangs is not waited for any longer; a large scan on a slow machine gets its pictures before.
 _TIMEOUT_S = 600
+# A child that has drawn waits so long for another scene, as of a batch or a notebook.
+_IDLE_S = 60
+_READY = b"ready"
 _CODE = "from scan3d.pictures.drawing import serve; serve()"
 
 
@@ -34,16 +40,106 @@ class DrawingError(InputError):
     """The child process that draws has failed."""
 
 
+class _Child:
+    """A process that draws one scene after another, once it is ready."""
+
+    def __init__(self) -> None:
+        environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+        self._errors = TemporaryFile()  # noqa: SIM115 - closed by `end`
+        # in a separate session: Ctrl-C in the terminal ends this process, which then ends the child without a message
+        self.process = subprocess.Popen(
+            python(_CODE),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            env=environment,
+            start_new_session=True,
+        )
+        self._ready: bool | None = None
+        self.drawn_s = 0.0
+        """When it has drawn last (`time.monotonic`)."""
+
+    def is_ready(self, within_s: float) -> bool:
+        """Wait until the child can draw; false if it ends before, or takes longer."""
+        if self._ready is None:
+            with self._ending_after(within_s):
+                assert self.process.stdout is not None
+                self._ready = self.process.stdout.read(len(_READY)) == _READY
+        return self._ready
+
+    def ask(self, request: bytes) -> list[bytes] | InputError:
+        """What the child answers.  Raises DrawingError if it crashes or takes too long."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        with self._ending_after(_TIMEOUT_S) as late:
+            try:
+                self.process.stdin.write(request)
+                self.process.stdin.flush()
+                if self.is_ready(_TIMEOUT_S):
+                    answer: list[bytes] | InputError = pickle.load(self.process.stdout)
+                    self.drawn_s = time.monotonic()
+                    return answer
+            except (OSError, EOFError, pickle.UnpicklingError):
+                pass
+        code = self.process.wait()
+        self._errors.seek(0)
+        errors = self._errors.read()
+        self.end()
+        raise DrawingError(f"drawing took more than {_TIMEOUT_S} s" if late.is_set() else _cause(code, errors))
+
+    @contextmanager
+    def _ending_after(self, seconds: float) -> Iterator[threading.Event]:
+        late = threading.Event()
+
+        def end() -> None:
+            late.set()
+            self.process.kill()
+
+        timer = threading.Timer(seconds, end)
+        timer.start()
+        try:
+            yield late
+        finally:
+            timer.cancel()
+
+    def end(self) -> None:
+        """End the process."""
+        self.process.kill()
+        with suppress(OSError), self.process:  # what it was to be told may not be gone
+            self._errors.close()
+
+
+# At most one child that has drawn, for the next scene.
+_IDLE: list[_Child] = []
+
+
+def _taken() -> _Child | None:
+    """The idle child, if it does not end soon."""
+    while _IDLE:
+        child = _IDLE.pop()
+        if time.monotonic() - child.drawn_s < _IDLE_S / 2:
+            return child
+        child.end()
+    return None
+
+
+@atexit.register
+def _end_idle() -> None:
+    while _IDLE:
+        _IDLE.pop().end()
+
+
 class Drawing:
     """A child process that draws a scene.
 
-    It is started in the background, and gets ready while this process does other work.  It ends with the ``with`` block.
+    It is started in the background, and gets ready while this process does other work; one that has just drawn another scene is
+    taken instead.  It ends with the ``with`` block, unless it has drawn, and soon after that if nothing else is drawn.
     """
 
     def __init__(self) -> None:
         self._request: SimpleQueue[bytes] = SimpleQueue()
         self._changing = threading.Lock()
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: _Child | None = None
         self._is_over = False
         self._drawn: Future[list[bytes]] = Future()
         threading.Thread(target=self._work, daemon=True).start()
@@ -55,7 +151,7 @@ class Drawing:
         with self._changing:
             self._is_over = True
             if self._child is not None:
-                self._child.kill()
+                self._child.end()
         self._request.put(b"")
 
     def begin(self, scene: Scene, jobs: Sequence[Job]) -> None:
@@ -76,30 +172,38 @@ class Drawing:
         except Exception as error:  # raised where the pictures are waited for
             self._drawn.set_exception(error)
 
-    def _answer(self) -> list[bytes]:
-        canvas.need_renderer()
-        environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    def _start(self) -> _Child:
+        """The child, an idle one or a new one.  Raises CancelledError if the block has been left."""
         with self._changing:
             if self._is_over:
-                return []
-            # in a separate session: Ctrl-C in the terminal ends this process, which then ends the child without a message
-            self._child = subprocess.Popen(
-                python(_CODE),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                env=environment,
-                start_new_session=True,
-            )
-        with self._child as child:
-            try:
-                output, errors = child.communicate(self._request.get(), _TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                raise DrawingError(f"drawing took more than {_TIMEOUT_S} s") from None
-        if child.returncode:
-            raise DrawingError(_cause(child.returncode, errors))
-        answer: list[bytes] | InputError = pickle.loads(output)
+                raise CancelledError
+            if self._child is None:
+                self._child = _taken() or _Child()
+            return self._child
+
+    def _is_ready(self) -> bool:
+        """Whether a child has rendered, which is the trial of the renderer as well."""
+        # a busy machine may take as long to import VTK; a display that accepts the connection may never answer
+        if self._start().is_ready(120):
+            return True
+        with self._changing:
+            if self._is_over or self._child is None:
+                raise CancelledError
+            self._child.end()
+            self._child = None
+        return False
+
+    def _answer(self) -> list[bytes]:
+        canvas.need_renderer(self._is_ready)
+        child, request = self._start(), self._request.get()
+        if not request:
+            return []
+        answer = child.ask(request)
+        with self._changing:
+            self._child = None
+            _IDLE.append(child)
+            while len(_IDLE) > 1:  # of several threads
+                _IDLE.pop(0).end()
         if isinstance(answer, InputError):
             raise answer
         return answer
@@ -122,18 +226,31 @@ def picture(scene: Scene, path: Path, view: str, color: str, sheet: Sheet) -> by
 
 
 def serve() -> None:
-    """What the child process does: get ready, read a scene from the standard input, write pictures to the standard output."""
-    answer = os.fdopen(os.dup(1), "wb")
+    """What the child process does: get ready, read scenes from the standard input, write pictures to the standard output.
+
+    It ends when nothing has been asked for a while.
+    """
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print goes elsewhere
     canvas.assume_renderer()
     _warm_up()
-    request = sys.stdin.buffer.read()
-    try:
-        drawn: list[bytes] | InputError = _pictures(*pickle.loads(request))
-    except InputError as error:
-        drawn = error
-    with answer:
-        pickle.dump(drawn, answer)
+    answers.write(_READY)
+    answers.flush()
+    idle = threading.Timer(_IDLE_S, os._exit, [0])
+    while True:
+        try:
+            scene, jobs = pickle.load(sys.stdin.buffer)
+        except EOFError:  # the process that asks has ended
+            os._exit(0)
+        idle.cancel()
+        try:
+            drawn: list[bytes] | InputError = _pictures(scene, jobs)
+        except InputError as error:
+            drawn = error
+        pickle.dump(drawn, answers)
+        answers.flush()
+        idle = threading.Timer(_IDLE_S, os._exit, [0])
+        idle.start()
 
 
 def _warm_up() -> None:
@@ -147,8 +264,10 @@ def _warm_up() -> None:
 
     plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
     plotter.add_mesh(pyvista.Sphere())
-    plotter.screenshot(None, return_img=True)
+    image = plotter.screenshot(None, return_img=True)
     plotter.close()
+    if image.min() == image.max():  # as where VTK falls back to a window that is never shown
+        sys.exit(3)
     with own_style():
         figure = Figure(figsize=(1, 1))
         figure.text(0.5, 0.5, "$10^{-1}$")

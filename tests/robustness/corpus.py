@@ -42,7 +42,7 @@ def make(folder):
     recording = scan3d.simulate(scan3d.load_mesh(folder / "box.stl"), scan3d.Plan(slices=4, samples=20))
     write_recording(recording, folder / "log.csv")
     (folder / "scan").mkdir()
-    could, canvas.can_render = canvas.can_render, lambda: False
+    could, canvas.can_render = canvas.can_render, lambda *_: False
     try:
         analysis = pipeline.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
         pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"})

@@ -50,7 +50,7 @@ def prepare(source):
     rows = zip(*(getattr(sweep, name).tolist() for name in ("x0", "f0x", "f0y", "m0z")), strict=True)
     lines = [",".join("0" if value != value else repr(value) for value in row) for row in rows]
     (place / "sweep.csv").write_text("\n".join(["x0,f0x,f0y,m0z", *lines, ""]))
-    could, canvas.can_render = canvas.can_render, lambda: False
+    could, canvas.can_render = canvas.can_render, lambda *_: False
     before = Path.cwd()
     try:
         os.chdir(place)

@@ -99,7 +99,7 @@ def _child(argv, folder, writer):
     from scan3d.cli import main
     from scan3d.pictures import canvas
 
-    canvas.can_render = lambda: False
+    canvas.can_render = lambda *_: False
     # the runs of a batch are made in this process, whose limits and warnings are seen
     workers.Workers = Threads
     outcome = Outcome()
