@@ -36,13 +36,11 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest, ranges, unit_or_zero
 from scan3d.errors import InputError
-from scan3d.geometry.distance import bounding_box, check_mesh, locator, nearest, welded
+from scan3d.geometry.distance import bounding_box, check_mesh, nearest, poly_data, welded
 from scan3d.geometry.triangles import (
     areas,
-    distance_to,
     dot,
     largest_of_three,
-    longest_first,
     mirrored_faces,
     opposite_edges,
     representatives,
@@ -371,18 +369,23 @@ def _spanned_hull(points: Array) -> tuple[ConvexHull, Array, float]:
 def distance_from_hull(points: Array) -> Callable[[Array], Array]:
     """The distances (p,) of points (p, 3) from the hull of points (n, 3), 0 inside; raises InputError as `hull`.
 
-    As `nearest_on` of `hull`, in half the time for few of them.
+    To rounding, which slivers of the hull enlarge, in a third of the time of `nearest_on`.
     """
+    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkDoubleArray
+    from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
+
     qhull, centre, size = _spanned_hull(points)
-    triangles = qhull.points[qhull.simplices]
-    triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
-    locate, middle = locator(triangles), qhull.points[qhull.vertices].mean(axis=0)
+    corners, faces = without_unused(qhull.simplices)
+    inwards = dot(spanned(qhull.points[qhull.simplices]), qhull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    distance = vtkImplicitPolyDataDistance()
+    distance.SetInput(poly_data(qhull.points[corners], faces))
 
     def distances(sought: Array) -> Array:
-        sought = (sought - centre) / size
-        face, foot = locate(sought)
-        outside = dot(sought - foot, foot - middle) > 0
-        return np.where(outside, distance_to(sought, triangles[face]), 0.0) * size
+        found = vtkDoubleArray()
+        distance.FunctionValue(numpy_to_vtk((sought - centre) / size, deep=True), found)
+        return np.maximum(vtk_to_numpy(found), 0.0) * size
 
     return distances
 
