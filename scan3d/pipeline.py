@@ -31,7 +31,7 @@ from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
-from scan3d.pictures.parts import Scene, of_cloud
+from scan3d.pictures.parts import Scene, of_cloud, shown_surface
 from scan3d.reconstruction import Contradiction, NoContactError, as_measured, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.reconstruction.touches import contradictions
@@ -173,8 +173,11 @@ def _performed(
         with clock("write"):
             files = {} if result.reads_recording else recording_files(recording, RECORDING[0])
 
+        scenes: list[Scene] = []
+
         def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
-            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local)), _JOBS)
+            scenes.append(_with_shown(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local))))
+            drawing.begin(scenes[0], _JOBS)
 
         with result.kept(files) as how_to_go_on, said_if_ended(how_to_go_on):
             analysis = analyse(
@@ -183,7 +186,7 @@ def _performed(
             bodies = ("surface", "true body")
             if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
                 notify(remark)
-            return analysis, _put(analysis, result, files, settings, clock, drawing, notify)
+            return analysis, _put(analysis, result, files, settings, clock, drawing, scenes[0], notify)
 
 
 def with_origin(recording: Recording, body: Any) -> Recording:
@@ -321,9 +324,10 @@ def write(
     The report repeats the settings; `overwrite` and what is raised are those of `files.whole.replacing`.
     """
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
-        drawing.begin(to_scene(analysis), _JOBS)
+        scene = _with_shown(to_scene(analysis))
+        drawing.begin(scene, _JOBS)
         files = recording_files(analysis.recording, RECORDING[0]) if analysis.recording else {}
-        return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, lambda _: None)
+        return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, scene, lambda _: None)
 
 
 def _put(
@@ -333,6 +337,7 @@ def _put(
     settings: Mapping[str, Any],
     clock: Clock,
     drawing: Drawing,
+    drawn: Scene,
     notify: Notify,
 ) -> dict[str, Any]:
     with clock("write"):
@@ -341,7 +346,8 @@ def _put(
         _put_tables(analysis, result)
     with clock("pictures"):
         data = report(analysis, settings=settings)
-        _put_pictures(to_scene(analysis, key_figures(data)), result, drawing, notify)
+        scene = replace(to_scene(analysis, key_figures(data)), shown=drawn.shown)
+        _put_pictures(scene, result, drawing, notify)
     return result.commit(data | {"timings_s": rounded(clock.seconds)})
 
 
@@ -367,6 +373,11 @@ def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: N
         return
     for name, data in zip(_VIEWS, pictures, strict=True):
         result.put(f"{name}.png", data)
+
+
+def _with_shown(scene: Scene) -> Scene:
+    """The scene with the distances of its surface from the truth, which the page and the child that draws need both."""
+    return replace(scene, shown=shown_surface(scene))
 
 
 def _shown(local: Array) -> Any:

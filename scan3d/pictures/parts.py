@@ -43,6 +43,8 @@ class Scene:
     """Whether another surface, which need not be convex, is in the place of the true body, to be compared with."""
     key_figures: tuple[tuple[str, str], ...] = ()
     """Pairs of a quantity's name and its value, for tables."""
+    shown: tuple[Any, Array | None, Array | None, Array | None] | None = None
+    """`shown_surface` in this unit, where it has been computed for another scene of the same bodies."""
 
     @property
     def truth_name(self) -> str:
@@ -89,11 +91,12 @@ class Scene:
             bound=None if self.bound is None else factor * self.bound,
             truth=_scaled(self.truth, factor),
             recording=None if self.recording is None else replace(self.recording, unit=unit),
+            shown=None,
         )
 
     def against(self, other: Any) -> Scene:
         """The scene in which the surface is compared with another one, a `trimesh.Trimesh` in the same unit."""
-        return replace(self, truth=other, is_other=True)
+        return replace(self, truth=other, is_other=True, shown=None)
 
     @property
     def points(self) -> Array:
@@ -330,6 +333,8 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array 
     at the new vertices.  The bound, certified at the old vertices, is interpolated linearly: on a convex surface the result is
     no less than the certified bound of a facet, as a vertex has the largest bound of the facets around it.
     """
+    if scene.shown is not None:
+        return scene.shown
     known = scene.surface.vertex_attributes.get("known")
     known = None if known is None else np.asarray(known, dtype=int)
     if scene.truth is None and scene.bound is None:
