@@ -121,7 +121,7 @@ def places_in_plane(
     """The contacts (k, 3) of some rows in metres, and their covariances (k, 3, 3) in the square of the recording's unit."""
     axes, rod, scale = recording.axes()[rows, :2], recording.rod, UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", found.point[rows] * rod.length_m, axes)
-    in_world = np.einsum("nij,nik,njl->nkl", error.point[rows], axes, axes)
+    in_world = axes.swapaxes(1, 2) @ error.point[rows] @ axes
     pose, length = recording.noise.pose_m / scale, rod.length_m / scale
     return points, length**2 * in_world + pose**2 * np.eye(3)
 

@@ -181,13 +181,31 @@ class Slice:
 
     def support_of_contacts(self, normals: Array) -> Array:
         """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
-        return (normals @ self.corners.T).max(axis=1)
+        if self._turns is None:
+            return (normals @ self.corners.T).max(axis=1)
+        begin, corners = self._turns
+        # before the first angle the last corner is the extreme one
+        extreme = corners[np.searchsorted(begin, np.arctan2(normals[:, 1], normals[:, 0])) - 1]
+        return np.asarray(normals[:, 0] * extreme[:, 0] + normals[:, 1] * extreme[:, 1])
 
     @cached_property
     def outline(self) -> Array:
         """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
         hull = hull_about_mean(self.points)
         return np.empty((0, 2)) if hull is None else np.asarray(self.points[hull.vertices])
+
+    @cached_property
+    def _turns(self) -> tuple[Array, Array] | None:
+        """(v,) rising angles of the normals from which each of (v, 2) corners of the outline is the extreme one.
+
+        None where the outline turns by rounding only.
+        """
+        along = np.diff(self.outline, axis=0, append=self.outline[:1])
+        # after the side before a corner, which runs around the body counterclockwise
+        begin = np.roll(np.arctan2(-along[:, 0], along[:, 1]), 1)
+        first = int(begin.argmin()) if len(begin) else 0
+        begin = np.roll(begin, -first)
+        return (begin, np.roll(self.outline, -first, axis=0)) if (np.diff(begin) > 0).all() and len(begin) else None
 
     @property
     def corners(self) -> Array:
