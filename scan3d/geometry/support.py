@@ -21,6 +21,7 @@ Observational Data*, SIAM 1990, chapter 4 (generalised cross-validation).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,7 +37,7 @@ from scan3d.geometry.hulls import hull_near
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
 # Points that are evaluated at once.
-_BLOCK = 1000
+_BLOCK = 4000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
 _RIDGE = 1e-11
 
@@ -71,19 +72,16 @@ class SupportFit:
         found = np.empty_like(directions)
         for first in range(0, len(directions), _BLOCK):
             part = directions[first : first + _BLOCK]
-            value = _by_order(_levels(part.T, self.degree))
+            value = _values(part.T, self.degree)
             found[first : first + _BLOCK] = (slopes @ value + (radial @ value) * part.T).T
         return found
 
     @cached_property
     def _slopes(self) -> tuple[Array, Array]:
         """Coefficients (3, c) of the sums ``Σ c_lm ∇R_lm``, and (c,) of ``Σ c_lm (1 - l) R_lm``."""
-        count = len(self.coefficients)
         # the gradients of harmonics are sums of harmonics: those of harmonics that are unit vectors are their coefficients
-        unit_vectors = _split(np.eye(count), self.degree)
-        gradient = np.stack([part for key in _keys(self.degree) for part in _slopes(unit_vectors, *key)])
-        degrees = np.repeat(np.arange(self.degree + 1), 2 * np.arange(self.degree + 1) + 1)
-        return np.einsum("c,cxk->xk", self.coefficients, gradient), self.coefficients * (1 - degrees)
+        gradient = _gradients(np.eye(len(self.coefficients)), self.degree)
+        return np.einsum("c,cxk->xk", self.coefficients, gradient), self.coefficients * (1 - _degrees(self.degree))
 
 
 def fit_support(
@@ -163,7 +161,7 @@ def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, de
 
 def _roughness(degree: int) -> Array:
     """Means (c,) of ``((Δ + 2)² h)²`` over the unit sphere for each harmonic; 0 for the constant one, which is only a size."""
-    degrees = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    degrees = _degrees(degree)
     first = np.isin(np.arange(len(degrees)), np.arange(degree + 1) ** 2)  # m = 0; those of m > 0 are half as large
     means = ((degrees - 1.0) * (degrees + 2)) ** 4 / (2 * degrees + 1) * np.where(first, 1.0, 0.5)
     return np.where(degrees > 0, means, 0.0)
@@ -198,72 +196,62 @@ def _sagitta(points: Array, normals: Array, faces: Index) -> Array:
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
     """Values (c, n) and gradients (c, 3, n) at unit vectors u (n, 3) of the functions ``|u|^(1-l) R_lm``, l <= degree."""
     along = np.ascontiguousarray(u.T)
-    levels = _levels(along, degree)
-    value, gradient = _by_order(levels), np.empty(((degree + 1) ** 2, 3, len(u)))
-    row = 0
-    for n, m in _keys(degree):
-        part = slice(row, row + (2 if m else 1))
-        gradient[part] = _slopes(levels, n, m)
-        gradient[part] += ((1 - n) * value[part])[:, None] * along
-        row = part.stop
+    value = _values(along, degree)
+    gradient, radial = _gradients(value, degree), (1 - _degrees(degree))[:, None] * value
+    for k in range(3):
+        gradient[:, k] += radial * along[k]
     return value, gradient
 
 
-def _levels(u: Array, degree: int) -> dict[tuple[int, int], Array]:
-    """Real and imaginary parts (2, n) of the solid harmonics R_lm at unit vectors u (3, n), by l and m."""
+def _values(u: Array, degree: int) -> Array:
+    """The solid harmonics (c, n) at unit vectors u (3, n): by l and m real and, unless m is 0, imaginary part of R_lm."""
     x, y, z = u
+    value = np.empty(((degree + 1) ** 2, len(x)))
     xy, sectoral = x + 1j * y, np.ones(len(x), dtype=complex)
-    level = {(0, 0): _parts(sectoral)}
+    value[0] = 1.0
     for m in range(1, degree + 1):
-        sectoral = sectoral * xy * np.sqrt((2 * m - 1) / (2 * m))
-        level[m, m] = _parts(sectoral)
+        sectoral = sectoral * (xy * math.sqrt((2 * m - 1) / (2 * m)))
+        value[_rows(m, m)] = sectoral.real, sectoral.imag
     for m in range(degree):
-        level[m + 1, m] = np.sqrt(2 * m + 1) * z * level[m, m]
+        np.multiply(math.sqrt(2 * m + 1) * z, value[_rows(m, m)], out=value[_rows(m + 1, m)])
         for n in range(m + 2, degree + 1):
-            above = (2 * n - 1) * z * level[n - 1, m] - np.sqrt((n - 1) ** 2 - m * m) * level[n - 2, m]
-            level[n, m] = above * (1 / np.sqrt(n * n - m * m))
-    return level
+            size = math.sqrt(n * n - m * m)
+            above = np.multiply((2 * n - 1) / size * z, value[_rows(n - 1, m)], out=value[_rows(n, m)])
+            above -= math.sqrt((n - 1) ** 2 - m * m) / size * value[_rows(n - 2, m)]
+    return value
 
 
-def _slopes(level: dict[tuple[int, int], Array], n: int, m: int) -> Array:
-    """Gradients (1 or 2, 3, k) of the real and, unless m is 0, imaginary part of R_nm, from the harmonics (2, k)."""
-    zero, conjugate = np.zeros_like(level[0, 0]), np.array([[1.0], [-1.0]])
-    plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
-    minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else conjugate * plus  # (∂x - i∂y) R
-    slopes = np.stack(
-        [
-            0.5 * (plus + minus),
-            conjugate * 0.5 * (plus - minus)[::-1],  # divided by 2i
-            np.sqrt(n * n - m * m) * level.get((n - 1, m), zero),
-        ],
-        axis=1,
-    )
-    return slopes[: 2 if m else 1]
+def _gradients(value: Array, degree: int) -> Array:
+    """Gradients (c, 3, n) of the solid harmonics, from their values (c, n)."""
+    gradient = np.zeros((len(value), 3, value.shape[1]))
+    for n in range(1, degree + 1):
+        for m in range(n + 1):
+            slopes = gradient[_rows(n, m)]
+            if m < n:
+                slopes[:, 2] = math.sqrt(n * n - m * m) * value[_rows(n - 1, m)]
+            if m < n - 1:  # half of (∂x + i∂y) R, of which (∂x - i∂y) R is the conjugate where m is 0
+                real, imaginary = -math.sqrt((n - m) * (n - m - 1)) / (2 if m else 1) * value[_rows(n - 1, m + 1)]
+                slopes[0, 0], slopes[0, 1] = real, imaginary
+                if m:
+                    slopes[1, 0], slopes[1, 1] = imaginary, -real
+            if m:  # half of (∂x - i∂y) R
+                real, *imaginary_part = math.sqrt((n + m) * (n + m - 1)) / 2 * value[_rows(n - 1, m - 1)]
+                slopes[0, 0] += real
+                slopes[1, 1] += real
+                for imaginary in imaginary_part:  # none where m - 1 is 0
+                    slopes[1, 0] += imaginary
+                    slopes[0, 1] -= imaginary
+    return gradient
 
 
-def _keys(degree: int) -> list[tuple[int, int]]:
-    """l and m of the harmonics, in their order."""
-    return [(n, m) for n in range(degree + 1) for m in range(n + 1)]
+def _rows(n: int, m: int) -> slice:
+    """The rows of real and, unless m is 0, imaginary part of R_nm."""
+    return slice(n * n + max(2 * m - 1, 0), n * n + 2 * m + 1)
 
 
-def _by_order(level: dict[tuple[int, int], Array]) -> Array:
-    """Values (c, n) of the harmonics in their order; those of m = 0 have no imaginary part."""
-    degree = max(level)[0]
-    return np.concatenate([level[n, m][: 2 if m else 1] for n, m in _keys(degree)])
-
-
-def _split(rows: Array, degree: int) -> dict[tuple[int, int], Array]:
-    """The reverse of `_by_order`."""
-    level, row = {}, 0
-    for n, m in _keys(degree):
-        level[n, m] = rows[row : row + 2] if m else np.stack([rows[row], np.zeros_like(rows[row])])
-        row += 2 if m else 1
-    return level
-
-
-def _parts(values: Any) -> Array:
-    """Real and imaginary parts (2, n) of complex numbers (n,), which numpy multiplies and divides in less time."""
-    return np.stack([values.real, values.imag])
+def _degrees(degree: int) -> Index:
+    """l (c,) of the harmonics, in their order."""
+    return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
 def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array, turns: int = 3) -> Array:
