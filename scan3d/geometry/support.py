@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -244,6 +244,7 @@ def _gradients(value: Array, degree: int) -> Array:
     return gradient
 
 
+@cache
 def _rows(n: int, m: int) -> slice:
     """The rows of real and, unless m is 0, imaginary part of R_nm."""
     return slice(n * n + max(2 * m - 1, 0), n * n + 2 * m + 1)

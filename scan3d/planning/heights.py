@@ -37,7 +37,7 @@ from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import representatives
 from scan3d.planning.plan import Plan, cosine_fractions
 from scan3d.reconstruction.facets import POLYHEDRON, polyhedron
-from scan3d.reconstruction.slices import SAME_AXIS, SliceStack, stacks
+from scan3d.reconstruction.slices import SAME_AXIS, Slice, SliceStack, stacks
 
 FIRST_SLICES, FIRST_TOGETHER = 8, 3
 """Slices inside the body with which adaptive spacing starts along one axis, and along each of several."""
@@ -82,6 +82,8 @@ def first_heights(low: float, high: float, plan: Plan, *, together: bool = False
 class SlabMemory:
     """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
 
+    slices: dict[float, Slice] = field(default_factory=dict)
+    """By their heights, with what has been computed of their outlines."""
     slabs: dict[SlabKey, Slab] = field(default_factory=dict)
     gaps: dict[SlabKey, Array] = field(default_factory=dict)
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
@@ -90,6 +92,11 @@ class SlabMemory:
     def measured(self, stack: SliceStack, others: Sequence[Array]) -> tuple[list[Slab], Array]:
         """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, from the hull of the two slices on
         either side, of a few of the others, and of the contours (v, 3) of slices along other axes."""
+        for slice_ in stack.slices:
+            before = self.slices.get(slice_.height)
+            if before is None or not np.array_equal(before.rows, slice_.rows):
+                self.slices[slice_.height] = slice_
+        stack = replace(stack, slices=tuple(self.slices[slice_.height] for slice_ in stack.slices))
         parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
         new = np.flatnonzero([key not in self.gaps for key in keys])
         beside = (new[:, None] + np.arange(-2, 2)).clip(0, len(stack.slices) - 1)

@@ -196,7 +196,8 @@ def contours_between(stack: SliceStack) -> Array:
             mix = np.array([1 - up, up])
             level = below.height + up * (above.height - below.height)
             # the contour has the normals of both slices, and its points are those of the nearer one's
-            chosen = np.abs(angle[:, None] - nearer.angle).min(axis=1) <= NEGLIGIBLE
+            after = np.searchsorted(nearer.angle, angle - NEGLIGIBLE)
+            chosen = np.append(nearer.angle, np.inf)[after] <= angle + NEGLIGIBLE
             contour = _contour(angle, mix @ support + turn.above_chord(up), mix @ middle, chosen)
             contours.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
     return np.concatenate(contours)
