@@ -331,6 +331,12 @@ class _Swept(NamedTuple):
     slice: int
     line: BaseLine
     result: planar.Sweep
+    place: Array
+    """(n, 3) positions of the clamp in the world."""
+    axes: Array
+    """(3, 3) of the clamp, as rows."""
+    wrench: Array
+    """(n, 3) reactions in the plane, dimensionless."""
 
 
 @dataclass
@@ -438,7 +444,7 @@ class AxisScan:
             unknown, phase = np.full(n, np.nan), np.full(n, planar.Phase.NONE, dtype=np.int8)
             point = np.full((n, 2), np.nan)
             empty = planar.Sweep(x0, unknown, unknown, unknown, unknown, point, unknown, phase, unknown)
-            swept.append(_Swept(i, line, empty))
+            swept.append(self._logged(i, line, empty))
         return swept
 
     def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
@@ -494,7 +500,12 @@ class AxisScan:
                 f"this body can't be swept with a rod {length(self.length, self.plan.unit)} long and a clearance of "
                 f"{self.plan.clearance:g}: {error}"
             ) from None
-        return [_Swept(i, line, result) for (i, _, line), result in zip(aims, results, strict=True)]
+        return [self._logged(i, line, result) for (i, _, line), result in zip(aims, results, strict=True)]
+
+    def _logged(self, i: int, line: BaseLine, result: planar.Sweep) -> _Swept:
+        place = positions(line, result.x0 * self.length, self.heights[i], self.frame)
+        wrench = np.stack([result.f0x, result.f0y, result.m0z], axis=1)
+        return _Swept(i, line, result, place, clamp_axes(line, self.frame), wrench)
 
     def _contour(self, i: int, line: BaseLine) -> planar.Contour:
         """The contour of slice i in the frame of a base line, in rod lengths."""
@@ -503,7 +514,7 @@ class AxisScan:
     def _open_directions(self, done: list[_Swept], i: int, limit: float | None = None) -> Array:
         """Approach directions for what the sweeps of slice i have left open of its contour, as `further_directions`."""
         points, normals = [], []
-        for _, line, result in done:
+        for _, line, result, *_ in done:
             tangential = result.phase == planar.Phase.TANGENTIAL
             slope = result.slope[tangential]
             points.append(result.point[tangential] @ line.axes * self.length + line.origin)
@@ -534,16 +545,15 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
 
     Samples of which no equilibrium was found are left out, and what follows them counts as another sweep.
     """
-    plan, length = scans[0].plan, scans[0].length
-    swept = [(scan, *swept) for scan in scans for swept in scan.swept]
-    places = [positions(line, result.x0 * length, scan.heights[i], scan.frame) for scan, i, line, result in swept]
-    axes = np.array([clamp_axes(line, scan.frame) for scan, _, line, _ in swept])
-    wrenches = [np.stack([result.f0x, result.f0y, result.m0z], axis=1) for *_, result in swept]
-    of_sweep = np.repeat(np.arange(len(swept)), [len(result) for *_, result in swept])
-    known = np.concatenate([result.status != planar.SweepStatus.UNRESOLVED for *_, result in swept])
+    plan = scans[0].plan
+    swept = [swept for scan in scans for swept in scan.swept]
+    axes = np.array([one.axes for one in swept])
+    of_sweep = np.repeat(np.arange(len(swept)), [len(one.result) for one in swept])
+    known = np.concatenate([one.result.status != planar.SweepStatus.UNRESOLVED for one in swept])
     begins = known & ((np.diff(of_sweep, prepend=-1) != 0) | ~np.roll(known, 1))
     number = (np.cumsum(begins) - 1)[known]
-    place, wrench = np.concatenate(places)[known], np.concatenate(wrenches)[known]
+    place = np.concatenate([one.place for one in swept])[known]
+    wrench = np.concatenate([one.wrench for one in swept])[known]
     down = plan.down(axes)
     if down is not None and plan.gravity is not None:
         force, moment = free_reactions(rod.in_space(), down.T)
