@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import CancelledError
 
 import pytest
 from small_scans import CUBE, FEW, RESULTS, SETTINGS, scanned
@@ -65,6 +66,30 @@ def test_a_child_that_fails(monkeypatch, code, sentence):
         monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.5)
     with pytest.raises(drawing.DrawingError, match=sentence):
         drawing.draw(scanned(CUBE), JOBS)
+
+
+def test_the_child_is_the_trial_of_the_renderer(monkeypatch):
+    """Unless the block is left before."""
+    monkeypatch.setattr(canvas, "_is_known", None)
+    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
+    with drawing.Drawing() as left:
+        pass
+    assert isinstance(left._drawn.exception(60), CancelledError)
+    assert canvas._is_known is None
+    monkeypatch.setattr(drawing, "_CODE", "import sys; sys.exit(3)")
+    with pytest.raises(canvas.NoRendererError):
+        drawing.draw(scanned(CUBE), JOBS)
+    assert canvas._is_known is False
+
+
+@pytest.mark.slow
+@pytest.mark.rendering
+@pytest.mark.usefixtures("renderer")
+def test_a_child_that_has_drawn_draws_the_next_scene_alike():
+    once, again = (
+        (drawing.draw(scanned(CUBE), JOBS), [child.process.pid for child in drawing._IDLE]) for _ in range(2)
+    )
+    assert once == again
 
 
 @pytest.mark.slow

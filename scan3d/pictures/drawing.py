@@ -151,7 +151,7 @@ class Drawing:
         with self._changing:
             self._is_over = True
             if self._child is not None:
-                self._child.end()
+                self._child.process.kill()
         self._request.put(b"")
 
     def begin(self, scene: Scene, jobs: Sequence[Job]) -> None:
@@ -171,6 +171,9 @@ class Drawing:
             self._drawn.set_result(self._answer())
         except Exception as error:  # raised where the pictures are waited for
             self._drawn.set_exception(error)
+        finally:
+            if self._child is not None:
+                self._child.end()
 
     def _start(self) -> _Child:
         """The child, an idle one or a new one.  Raises CancelledError if the block has been left."""
@@ -184,12 +187,13 @@ class Drawing:
     def _is_ready(self) -> bool:
         """Whether a child has rendered, which is the trial of the renderer as well."""
         # a busy machine may take as long to import VTK; a display that accepts the connection may never answer
-        if self._start().is_ready(120):
+        child = self._start()
+        if child.is_ready(120):
             return True
         with self._changing:
-            if self._is_over or self._child is None:
+            if self._is_over:
                 raise CancelledError
-            self._child.end()
+            child.end()
             self._child = None
         return False
 
