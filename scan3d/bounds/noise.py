@@ -194,7 +194,10 @@ def _inner_polygon(
     def reach(u: Array) -> Array:
         """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
         quadratic = np.stack([u[:, 0] ** 2, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1)
-        proven: Array = u @ place.T - sigma * np.sqrt(np.maximum(quadratic @ entries.T, 0.0)) - biased
+        proven: Array = u @ place.T
+        off = np.maximum(quadratic @ entries.T, 0.0)
+        proven -= np.multiply(sigma, np.sqrt(off, out=off), out=off)
+        proven -= biased
         return proven if of_rig is None else proven - np.sqrt(np.maximum(quadratic @ of_rig.T, 0.0))
 
     inside = points.mean(axis=0)
@@ -423,13 +426,13 @@ def beyond(corners: Array, points: Array, normals: Array, tangents: Array, offse
     """
     across = normals @ corners.T - offset[:, None]
     along = tangents @ corners.T - (tangents * points).sum(axis=1)[:, None]
-    height = np.maximum(across.max(axis=1), 0.0)
-    extent = np.where(across >= 0, np.abs(along), 0.0).max(axis=1)
+    height, is_beyond = np.maximum(across.max(axis=1), 0.0), across >= 0
+    extent = np.where(is_beyond, np.abs(along), 0.0).max(axis=1)
     # where a side of the polygon crosses the line
-    next_across, next_along = np.roll(across, -1, axis=1), np.roll(along, -1, axis=1)
-    line, side = np.nonzero((across >= 0) != (next_across >= 0))
-    a, b = across[line, side], next_across[line, side]
-    crossing = along[line, side] + (next_along[line, side] - along[line, side]) * a / (a - b)
+    line, side = np.nonzero(is_beyond != np.roll(is_beyond, -1, axis=1))
+    following = (side + 1) % len(corners)
+    a, b = across[line, side], across[line, following]
+    crossing = along[line, side] + (along[line, following] - along[line, side]) * a / (a - b)
     np.maximum.at(extent, line, np.abs(crossing))
     return extent, height
 

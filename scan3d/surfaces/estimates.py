@@ -459,15 +459,14 @@ class Planes:
         """(n,) heights of points (n, 3) over one plane each."""
         return (points * self.normals[plane]).sum(axis=1) - self.offsets[plane]
 
-    def highest(self, points: Array) -> Index:
-        """(n, 2) planes that the points (n, 3) lie highest over, and second highest."""
-        found = np.empty((len(points), 2), dtype=np.intp)
+    def highest(self, points: Array, ranks: int = 1) -> Index:
+        """(n, ranks) planes that the points (n, 3) lie highest over, the highest first."""
+        found = np.empty((len(points), ranks), dtype=np.intp)
         for block in np.array_split(np.arange(len(points)), 1 + len(points) * len(self) // AT_ONCE):
             heights = points[block] @ self.normals.T - self.offsets
-            rows = np.arange(len(heights))
-            found[block, 0] = heights.argmax(axis=1)
-            heights[rows, found[block, 0]] = -np.inf
-            found[block, 1] = heights.argmax(axis=1)
+            for rank in range(ranks):
+                found[block, rank] = heights.argmax(axis=1)
+                heights[np.arange(len(heights)), found[block, rank]] = -np.inf
         return found
 
     def select(self, kept: Array) -> Planes:
@@ -574,7 +573,7 @@ def _fitted(contacts: Contacts, normals: Array, group: Index) -> tuple[Planes, I
 def _without_needless(contacts: Contacts, planes: Planes) -> Planes:
     """The planes without those that have too few contacts, or without which the misfit hardly rises."""
     while len(planes) > _FEWEST:
-        highest = planes.highest(contacts.points)
+        highest = planes.highest(contacts.points, 2)
         first, second = (_misfit(contacts, planes, plane) for plane in highest.T)
         limit = _limit(first)
         rise = np.bincount(highest[:, 0], np.minimum(second, limit) - np.minimum(first, limit), len(planes))
