@@ -151,11 +151,14 @@ def touched(
         with clock("load"):
             cloud, truth, source = read()
 
+        scenes: list[Scene] = []
+
         def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
-            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local)), _JOBS)
+            scenes.append(_with_shown(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local))))
+            drawing.begin(scenes[0], _JOBS)
 
         analysis = analyse_touches(cloud, truth, settings["method"], source=source, clock=clock, made=draw)
-        return analysis, _put(analysis, result, {}, settings, clock, drawing, notify)
+        return analysis, _put(analysis, result, {}, settings, clock, drawing, scenes[0], notify)
 
 
 def _performed(
