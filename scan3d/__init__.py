@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from scan3d.files.recordings import write_recording as write_recording
     from scan3d.files.shapes import Shape as Shape
     from scan3d.laboratory.importing import import_table as import_table
+    from scan3d.laboratory.places import calibrate_signals as calibrate_signals
     from scan3d.live import Live as Live
     from scan3d.live import LiveContact as LiveContact
     from scan3d.pictures.notebook import plot as plot
@@ -66,6 +67,7 @@ _NAMES = {
     "files.recordings": "read_recording write_recording",
     "files.shapes": "Shape",
     "laboratory.importing": "import_table",
+    "laboratory.places": "calibrate_signals",
     "live": "Live LiveContact",
     "pictures.notebook": "plot",
     "planning.plan": "Plan",

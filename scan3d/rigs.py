@@ -211,7 +211,8 @@ class RigUncertainty:
     exact: tuple[str, ...] = ()
     """Quantities of the calibration that its touches did not determine; their nominal values are taken as exact."""
     gains: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    """(6, 6 + k) covariance of the gains of the sensor's channels with each other and the quantities; 0 for exact ones."""
+    """(6, 6 + k) covariance of the gains of the sensor's channels with each other and the quantities; 0 for exact ones.  Or
+    (36, 36 + k), of a matrix (6, 6) by rows that is added to the channels in N and N m, as multiples of all of them."""
     sensor: tuple[float, ...] = (0.0,) * 6
     """Place in m and Euler angles in degrees of the sensor's frame in the clamp's, to which the gains belong."""
     relative: float = 0.0
@@ -231,7 +232,8 @@ class RigUncertainty:
         object.__setattr__(self, "sensor", tuple(map(float, sensor[0])))
         own = _matrix("the covariance", self.covariance, (len(self.names),) * 2)
         gains = self.gains if np.any(self.gains) else np.zeros((6, 6 + len(own)))
-        gains = _matrix("the covariance of the gains", gains, (6, 6 + len(own)))
+        rows = 36 if len(gains) == 36 else 6
+        gains = _matrix("the covariance of the gains", gains, (rows, rows + len(own)))
         matrix = _joint(own, gains)
         deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         scale = np.where(deviations > 0, deviations, 1.0)
@@ -252,16 +254,21 @@ class RigUncertainty:
         return self.names, self.exact, self.covariance.tobytes(), self.gains.tobytes(), self.sensor, self.relative
 
     def by_gains(self, length_m: float) -> Array:
-        """(6, 6, 6) what is added to wrenches in the clamp's frame, over a length, by a gain of 1 of each channel."""
+        """(g, 6, 6) what is added to wrenches in the clamp's frame, over a length, by a gain of 1 of each channel, or of each
+        channel by each."""
         own = wrench_matrix(turn_of(self.sensor[3:]), np.array(self.sensor[:3]) / length_m)
-        return np.einsum("ik,kj->kij", own, np.linalg.inv(own))
+        if len(self.gains) == 6:
+            return np.einsum("ik,kj->kij", own, np.linalg.inv(own))
+        units = np.repeat([1.0, length_m], 3)
+        mixed = np.einsum("ik,lj->klij", own / units, np.linalg.inv(own) * units[:, None])
+        return mixed.reshape(36, 6, 6)
 
     def components(self) -> Array:
         """(18, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
         return self._components()[: len(RIG_QUANTITIES)]
 
     def gain_components(self) -> Array:
-        """(6, p) the gains in the same errors."""
+        """(g, p) the gains in the same errors."""
         return self._components()[len(RIG_QUANTITIES) :]
 
     def _components(self) -> Array:
@@ -270,15 +277,16 @@ class RigUncertainty:
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         scale = np.where(deviations > 0, deviations, 1.0)
         square, axes = np.linalg.eigh(covariance / scale / scale[:, None])
-        found = np.zeros((len(RIG_QUANTITIES + GAINS), len(square)))
-        rows = [(RIG_QUANTITIES + GAINS).index(name) for name in (*self.names, *GAINS)[: len(square)]]
+        found = np.zeros((len(RIG_QUANTITIES) + len(self.gains), len(square)))
+        rows = [*map(RIG_QUANTITIES.index, self.names), *range(len(RIG_QUANTITIES), len(found))][: len(square)]
         found[rows] = scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
         return found[:, square > NEGLIGIBLE]
 
 
 def _joint(covariance: Array, gains: Array) -> Array:
-    """(k + 6, k + 6) of quantities and gains."""
-    return np.block([[covariance, gains[:, 6:].T], [gains[:, 6:], gains[:, :6]]])
+    """(k + g, k + g) of quantities and gains."""
+    own, others = np.split(gains, [len(gains)], axis=1)
+    return np.block([[covariance, others.T], [others, own]])
 
 
 def _matrix(what: str, values: Any, shape: tuple[int, int]) -> Array:

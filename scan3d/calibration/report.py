@@ -17,7 +17,15 @@ from scan3d.calibration.model import GAINS as GAIN
 from scan3d.calibration.model import MIXING, PLACE, SENSOR, SHAPE, TARE, TURN, Kind, Rig
 from scan3d.calibration.references import CHANCE, Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.errors import InputError
-from scan3d.files.text import Section, read_frame, read_rod, read_section, rod_section, to_toml
+from scan3d.files.text import (
+    Section,
+    read_frame,
+    read_rod,
+    read_section,
+    read_transducer,
+    rod_section,
+    to_toml,
+)
 from scan3d.files.whole import SCHEMA, Inputs, check_file, folder, write_atomic
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import (
@@ -87,7 +95,13 @@ class Calibration(Described):
     gains: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) what is added to the tared channels of the sensor, as multiples of them."""
     gains_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    """(6, 6 + k) of the gains with each other, and with the quantities."""
+    """(6, 6 + k) of the gains with each other, and with the quantities; of a matrix of signals as in `RigUncertainty`."""
+    matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """(c, q) what makes `channels` in N and N m of q signals less their `offset`; empty for a sensor that shows forces."""
+    offset: Array = field(default_factory=lambda: np.zeros(0))
+    """(q,)"""
+    channels: tuple[str, ...] = ()
+    """(c,) the channels of the matrix."""
     map_frames: Mapping[str, Any] = field(default_factory=dict)
     """The sections `sensor` and `clamp` of the map with which the touches were imported: `scan3d.import_table` needs them."""
 
@@ -141,6 +155,11 @@ class Calibration(Described):
         The tare is found in its own rows in the air; `tare` as in `calibrate`, or ``calibration`` for that of the calibration.
         Raises InputError if there are too few rows in the air.
         """
+        if self.channels:
+            raise InputError(
+                "the rig has the matrix of a sensor's signals, and a recording has forces: import the table of the signals "
+                "with scan3d import --rig"
+            )
         known = recording.noise
         channels, wrench = six_channels(recording)
         gravity = recording.gravity
@@ -193,16 +212,18 @@ class Calibration(Described):
         """
         chosen = [k for k, name in enumerate(self.names) if name in OF_CONTACTS]
         known = [k for k in chosen if np.isfinite(self.standard_deviations[k])]
-        exact = tuple(self.names[k] for k in chosen if k not in known) if chosen else OF_CONTACTS
+        exact = tuple(self.names[k] for k in chosen if k not in known)
+        if self.channels or not chosen:
+            exact = tuple(name for name in OF_CONTACTS if name not in self.names)
         slopes = self._errors()[:, [OF_CONTACTS.index(self.names[k]) for k in known]]
         covariance = slopes @ self.covariance[np.ix_(known, known)] @ slopes.T
         uncertain = np.flatnonzero(np.diag(covariance) > 0)
         covariance, own = covariance[np.ix_(uncertain, uncertain)], self.own_sensor()
         names = tuple(RIG_QUANTITIES[k] for k in uncertain)
         # those that are corrected already are left by as much
-        left = 1 / (1 + self.gains)
-        with_quantities = self.gains_covariance[:, 6:][:, known] @ slopes[uncertain].T
-        gains = left[:, None] * np.hstack([self.gains_covariance[:, :6] * left, with_quantities])
+        left = np.ones(len(self.gains_covariance)) if self.channels else 1 / (1 + self.gains)
+        of_gains, others = np.split(self.gains_covariance, [len(left)], axis=1)
+        gains = left[:, None] * np.hstack([of_gains * left, others[:, known] @ slopes[uncertain].T])
         frame = (*own.position_m.tolist(), *euler_of(own.turn).tolist()) if gains.any() else (0.0,) * 6
         return RigUncertainty(names, (covariance + covariance.T) / 2, exact, gains, frame)
 
@@ -584,7 +605,11 @@ def sections(calibration: Calibration) -> dict[str, Any]:
         "schema": SCHEMA,
         "rod": rod_section(rig.rod),
         "sensor": _frame(rig.sensor_position_m, rig.sensor_euler_deg)
-        | {"accuracy": rig.accuracy.tolist(), "gains": rig.gains.tolist()},
+        | (
+            {"channels": rig.channels, "matrix": rig.matrix.tolist(), "offset": rig.offset.tolist()}
+            if rig.channels
+            else {"accuracy": rig.accuracy.tolist(), "gains": rig.gains.tolist()}
+        ),
         "clamp": _frame(rig.clamp_position_m, rig.clamp_euler_deg),
         "tare": {
             "force_N": rig.tare[:3].tolist(),
@@ -608,7 +633,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
             "quantities": names,
             "well": np.array(rig.well)[known].tolist(),
             "matrix": rig.covariance[np.ix_(known, known)].tolist(),
-            "gains": rig.gains_covariance[:, np.append(np.ones(6, dtype=bool), known)].tolist(),
+            "gains": rig.gains_covariance[:, np.append(np.ones(len(rig.gains_covariance), dtype=bool), known)].tolist(),
         },
         **({"map": dict(rig.map_frames)} if rig.map_frames else {}),
     }
@@ -631,6 +656,7 @@ def read_rig(path: str | Path) -> Calibration:
     uncertainty.any("coverage_factor")
     with sensor.errors_named():
         accuracy = accuracy_of(sensor.any("accuracy", 0.0))
+    channels, matrix, offset = read_transducer(sensor)
     frames, names = data.section("map"), tuple(quantities.data)
     covariance, gains, well = _covariance(data.section("covariance"), names, np.diag(accuracy**2))
     known = ("chi2_per_freedom", "consistency", "freedom", "sentences")
@@ -660,6 +686,9 @@ def read_rig(path: str | Path) -> Calibration:
         gains=np.array(sensor.numbers("gains", 6, (0.0,) * 6)),
         gains_covariance=gains,
         map_frames={title: dict(frames.notes(title)) for title in ("sensor", "clamp") if title in frames},
+        matrix=np.array(matrix),
+        offset=np.array(offset),
+        channels=channels,
     )
     data.finish("; scan3d calibrate writes such a file")
     return calibration
@@ -670,25 +699,27 @@ def _three(section: Section, name: str) -> Array:
 
 
 def _covariance(section: Section, names: tuple[str, ...], stated: Array) -> tuple[Array, Array, tuple[bool, ...]]:
-    """The covariance (k, k) of quantities (k,), that of the gains (6, 6 + k), and whether quantities are well determined.
+    """The covariance (k, k) of quantities (k,), that of the gains (g, g + k), and whether quantities are well determined.
 
     Where the file has none of the gains it is the stated one (6, 6).
     """
     covariance, well = np.zeros((len(names), len(names))), np.zeros(len(names), dtype=bool)
-    gains = np.zeros((6, 6 + len(names)))
-    gains[:, :6] = stated
     listed, matrix, good = section.texts("quantities"), section.any("matrix", []), section.any("well", [])
     of_gains = section.any("gains", None)
+    size = 36 if isinstance(of_gains, list) and len(of_gains) == 36 else 6
+    gains = np.zeros((size, size + len(names)))
+    gains[:6, :6] = stated
     needed = (
-        "must have quantities of [quantities], and a row of numbers, a column and true or false for each; of the gains six "
-        "rows, with columns for the gains and the quantities"
+        "must have quantities of [quantities], and a row of numbers, a column and true or false for each; of the gains 6 or "
+        "36 rows, with columns for the gains and the quantities"
     )
     try:
         rows = np.array([names.index(name) for name in listed], dtype=int)
         covariance[np.ix_(rows, rows)] = np.array(matrix, dtype=float).reshape(len(rows), len(rows))
         well[rows] = good
         if of_gains is not None:
-            gains[:, np.append(np.arange(6), 6 + rows)] = np.array(of_gains, dtype=float).reshape(6, 6 + len(rows))
+            columns = np.append(np.arange(size), size + rows)
+            gains[:, columns] = np.array(of_gains, dtype=float).reshape(size, size + len(rows))
     except (ValueError, TypeError):
         raise section.error("", needed) from None
     return covariance, gains, tuple(map(bool, well))

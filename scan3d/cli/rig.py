@@ -30,6 +30,7 @@ from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit, force, length, moment, number, plus_minus, share, unit_question
 
 if TYPE_CHECKING:
+    from scan3d.calibration.report import Calibration
     from scan3d.laboratory.importing import Imported
     from scan3d.simulation.rig import RawLog
 
@@ -346,6 +347,8 @@ def calibrate(
     out: File,
     sphere: Annotated[float | None, Parameter(metavar="D")] = None,
     plane: Flag = False,
+    known: Annotated[File | None, Parameter(metavar="PLACES")] = None,
+    map: File | None = None,
     unit: Unit = "mm",
     tare: Tare = "auto",
     pose_noise: float | None = None,
@@ -353,14 +356,18 @@ def calibrate(
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
-    """Rod, clamp and sensor of a rig, from touches of a sphere or a plane.
+    """Rod, clamp and sensor of a rig, from touches of a sphere or a plane, or of raw signals at known places.
 
     The rod's stiffness and length, the clamp's offset and turn, the sensor's place and turn and its tare,
     with uncertainties, from sweeps over a reference: a sphere of known diameter, or a plane. Where it is need not
     be known.
 
+    With --known the log has raw signals, in counts or volts, while the rod is touched at known places: the matrix and
+    the offset of the sensor, and the curvature of the rod.
+
     For example:
       scan3d calibrate touches.csv --sphere 30 --out rig.toml
+      scan3d calibrate counts.csv --known places.csv --map counts.toml --out rig.toml
       scan3d calibrate touches.csv --plane --out rig.toml --pose-noise 0.02 --json
 
     Parameters
@@ -373,6 +380,11 @@ def calibrate(
         the reference is a sphere of this diameter, in mm or in --unit
     plane
         the reference is flat, such as a surface plate
+    known
+        a .csv of the places: touch (also in the log), or from_s and to_s; s_mm along the rod, x_mm, y_mm, z_mm in the
+        clamp's frame (of a pin's centre with pin_diameter_mm), sd_mm; or s_mm and fx_N, fy_N, fz_N; empty in the air
+    map
+        of a log with --known, the .toml with [rod], [columns] signals and [sensor] (default: the .toml beside the log)
     unit
         unit of --sphere and --pose-noise
     tare
@@ -383,14 +395,19 @@ def calibrate(
         standard deviation of the gains of the sensor's channels (default: that of the map, or 0.005)
     """
     from scan3d.calibration.report import calibrate as calibrate_rig
-    from scan3d.calibration.report import check_path, sections, write_rig
+    from scan3d.calibration.report import check_path
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.laboratory.importing import not_rigged
+    from scan3d.laboratory.places import calibrate_signals
 
-    if (sphere is not None) == plane:
-        raise UsageError("the reference is either --sphere D or --plane")
-    inputs = {"recording": recording, "TOML file of the recording": sidecar(recording)}
+    if (sphere is not None) + plane + (known is not None) != 1:
+        raise UsageError("the reference is either --sphere D, --plane or --known PLACES")
+    if known is None and map is not None:
+        raise UsageError("--map is of a log with --known; touches of a reference are imported first")
+    inputs = {"recording": recording, "TOML file of the recording": sidecar(recording), "places": known, "map": map}
     check_path(out, inputs, overwrite)
+    if known is not None:
+        return _calibrated(calibrate_signals(recording, known, map), out, output)
     scale = UNITS_M[unit]
     touches = read_recording(recording)
     not_rigged(touches.source)
@@ -398,7 +415,14 @@ def calibrate(
     found = calibrate_rig(
         touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise, accuracy=accuracy
     )
-    write_rig(found, out, overwrite=True)  # checked above
+    return _calibrated(found, out, output)
+
+
+def _calibrated(found: Calibration, out: Path, output: Output) -> int:
+    """Write and print a calibration."""
+    from scan3d.calibration.report import sections, write_rig
+
+    write_rig(found, out, overwrite=True)  # checked before
     print_result(output, sections(found), "\n".join([*_quantities(found), printable(f"written to {out}")]))
     if not output.quiet:
         for sentence in found.sentences:
@@ -428,6 +452,11 @@ def _quantities(found: Any) -> list[str]:
         else:
             known = plus_minus(value, value - 2 * deviation, value + 2 * deviation)
             lines.append(f"{name:24} {known:>24}  {'well' if well else 'poorly'}")
+    if found.channels:
+        lines.append(
+            f"chi2 per degree of freedom {found.chi2:.3f}; {found.details['touches']} touches, {found.details['rows']} rows"
+        )
+        return lines
     for name, value, variance in zip(GAINS, found.gains, found.gains_covariance.diagonal(), strict=True):
         if variance:
             deviation = math.sqrt(variance)

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from scan3d.errors import InputError
 from scan3d.rods import Rod
@@ -257,6 +257,52 @@ def read_frame(section: Section) -> Frame:
 
     position = [1e-3 * x for x in section.numbers("position_mm", 3, (0.0, 0.0, 0.0))]
     return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
+
+
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+"""The channels of a sensor, by number of rows of its matrix where they are not stated: six, or fx, fy and mz."""
+
+
+class Transducer(NamedTuple):
+    """What makes channels of a sensor's q signals: ``matrix (signals - offset)``; all empty without a matrix."""
+
+    channels: tuple[str, ...]
+    """(c,) some of `WRENCH`."""
+    matrix: tuple[tuple[float, ...], ...]
+    """(c, q)"""
+    offset: tuple[float, ...]
+    """(q,)"""
+
+
+def read_transducer(section: Section, count: int | None = None) -> Transducer:
+    """The `channels`, `matrix` and `offset` of a section [sensor], of so many signals; channels may stand without a matrix."""
+    rows, channels = section.any("matrix"), section.texts("channels")
+    wrong = [name for name in channels if name not in WRENCH]
+    if wrong or len(set(channels)) < len(channels):
+        what = did_you_mean(wrong, WRENCH) if wrong else ""
+        raise section.error(
+            "channels", f"must be some of {', '.join(WRENCH)}, each once; got {', '.join(channels)}{what}"
+        )
+    if rows is None:
+        return Transducer(channels, (), ())
+    listed = isinstance(rows, (list, tuple)) and all(isinstance(row, (list, tuple)) for row in rows)
+    if count is None:
+        count = len(rows[0]) if listed and rows else 0
+    if listed and not channels and len(rows) in (3, 6):
+        channels = WRENCH if len(rows) == 6 else ("fx", "fy", "mz")
+    if (
+        not listed
+        or len(rows) != len(channels)
+        or not all(len(row) == count and all(map(is_finite, row)) for row in rows)
+    ):
+        raise section.error(
+            "matrix",
+            "must have a row for each of fx, fy, fz, mx, my, mz, of fx, fy, mz, or of those that channels names, with "
+            f"{count} numbers, one for each signal",
+        )
+    return Transducer(
+        channels, tuple(tuple(map(float, row)) for row in rows), section.numbers("offset", count, (0.0,) * count)
+    )
 
 
 def read_rod(section: Section) -> Rod:

@@ -20,6 +20,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
 from scan3d.files.tables import Table, read_table
+from scan3d.files.text import Transducer
 from scan3d.laboratory import probed, signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
@@ -152,7 +153,17 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     own stretches in the air, because it changes from day to day.  Raises InputError as `scan3d.read_rig`.
     """
     found = rig if isinstance(rig, Calibration) else read_rig(rig)
-    sensor, clamp = found.own_sensor(), found.frames()[1].within(found.before("clamp"))
+    sensor, clamp, transducer = found.own_sensor(), found.frames()[1].within(found.before("clamp")), map.transducer
+    if found.channels:  # places in the clamp's frame say nothing of that
+        clamp = map.clamp
+        units = np.array([map.factors["force" if name[0] == "f" else "moment"] for name in found.channels])
+        matrix = tuple(tuple(row) for row in (found.matrix / units[:, None]).tolist())
+        transducer = Transducer(found.channels, matrix, tuple(found.offset.tolist()))
+        if not map.columns.signals:
+            raise InputError(
+                f"the calibrated rig has the matrix of {len(found.offset)} signals: name their columns as signals under "
+                f"[columns] of {map.name}, in the place of force and moment"
+            )
     used = {
         name: {"position_mm": (1000 * frame.position_m).tolist(), "euler_deg": euler_of(frame.turn).tolist()}
         for name, frame in (("sensor", sensor), ("clamp", clamp))
@@ -160,6 +171,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     return replace(
         map,
         sensor=sensor,
+        transducer=transducer,
         gains=found.gains,
         clamp=clamp,
         rod=found.rod,

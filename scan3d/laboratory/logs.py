@@ -146,9 +146,20 @@ def _wrench(table: Table, map: Map) -> tuple[Array, Mask, _Shown]:
 
         return wrench, np.array(known), _Shown(wrench[:, channels], names, words)
     signals = _vectors(table, map, columns.signals, "", "signals")
-    present: Mask = np.isin(np.arange(6), (0, 1, 5)) | (len(map.matrix) == 6)
-    wrench = np.zeros((len(table), 6))
-    wrench[:, present] = (signals - map.offset) @ np.array(map.matrix).T
+    names, matrix, offset = map.transducer
+    if not matrix:
+        raise InputError(
+            f"{table.name}: the signals need the matrix that makes force and moment of them: state it under [sensor] of "
+            f"{map.name}, or give a rig that scan3d calibrate --known has found, as --rig"
+        )
+    if len(offset) != signals.shape[1]:
+        raise InputError(
+            f"{table.name}: the calibrated rig is that of {len(offset)} signals, and [columns] signals of {map.name} names "
+            f"{signals.shape[1]}; name the same ones, in the same order"
+        )
+    told, wrench = [CHANNELS.index(name) for name in names], np.zeros((len(table), 6))
+    present: Mask = np.isin(np.arange(6), told)
+    wrench[:, told] = (signals - offset) @ np.array(matrix).T
     wrench *= np.repeat([map.factors["force"], map.factors["moment"]], 3)
     titles = tuple(table.title(_find(table, map, name, "signals")[0]) for name in columns.signals)
     return wrench, present, _Shown(signals, titles, lambda _, value: f"{value:.4g}")

@@ -20,7 +20,16 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array
 from scan3d.files.recordings import TABLE, gravity_of, read_known
 from scan3d.files.tables import Layout, Table, guessed_layout, read_table
-from scan3d.files.text import REQUIRED, Section, did_you_mean, read_frame, read_rod, read_section
+from scan3d.files.text import (
+    REQUIRED,
+    Section,
+    Transducer,
+    did_you_mean,
+    read_frame,
+    read_rod,
+    read_section,
+    read_transducer,
+)
 from scan3d.laboratory.bags import bag_files, is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.recording import Known
@@ -98,10 +107,8 @@ class Map:
     """The sensor's frame in the clamp's."""
     gains: Array
     """(6,) what is added to the tared channels of a calibrated sensor, as multiples of them."""
-    matrix: tuple[tuple[float, ...], ...] = ()
-    """(6, k), or (3, k) for fx, fy and mz: what the k signals are multiplied by; empty without signals."""
-    offset: tuple[float, ...] = ()
-    """(k,) what the signals are without load."""
+    transducer: Transducer
+    """What makes channels, in the units of the map, of the signals that the sensor logs."""
     known: Known | None = None
     """What is known in the place of one of fx, fy and mz that was not measured."""
     gravity: Gravity | None = None
@@ -176,13 +183,15 @@ def _map(top: Section) -> Map:
     layout, ros = _layout(top.section("table")), top.section("ros")
     topics = _topics(ros)
     columns, units, usual = top.section("columns"), top.section("units"), {"time": "s", "angle": "deg"}
+    if "signals" in columns:  # of a matrix in SI units, as a calibration finds it
+        usual |= {"force": "N", "moment": "N m"}
     if "ros" in top and not columns:
         columns, usual = Section(top.file, ROS_COLUMNS, "columns"), ROS_UNITS
     clamp, sensor, filters = top.section("clamp"), top.section("sensor"), top.section("filter")
     wrench = ros if "ros" in top else columns
     sweeps, noise = top.section("sweeps"), top.section("noise")
     read, air = _columns(columns), _air(top.section("tare"))
-    matrix, offset = _transducer(sensor, read.signals)
+    transducer = _transducer(sensor, read.signals)
     with sensor.errors_named():  # for a calibration, which finds it among the recording's sources
         accuracy_of(sensor.any("accuracy", 0.0))
     tares = air != "none"
@@ -194,8 +203,7 @@ def _map(top: Section) -> Map:
         clamp=read_frame(clamp),
         sensor=read_frame(sensor),
         gains=np.zeros(6),
-        matrix=matrix,
-        offset=offset,
+        transducer=transducer,
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
         wrench_in=wrench.word("wrench_in", WRENCH_IN),
         wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
@@ -267,27 +275,13 @@ def _columns(section: Section) -> Columns:
     )
 
 
-def _transducer(
-    section: Section, signals: tuple[Reference, ...]
-) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]:
-    """The matrix and the offset of a sensor that logs signals; both empty if it logs force and moment."""
-    if not signals:
-        if "matrix" in section or "offset" in section:
-            raise section.error(
-                "matrix", "and offset belong to the columns that [columns] signals names, which is missing"
-            )
-        return (), ()
-    rows, count = section.any("matrix"), len(signals)
-    right = isinstance(rows, (list, tuple)) and len(rows) in (3, 6)
-    if not right or not all(
-        isinstance(row, (list, tuple)) and len(row) == count and all(map(is_finite, row)) for row in rows
-    ):
-        raise section.error(
-            "matrix",
-            f"must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with {count} numbers, one for "
-            "each signal",
-        )
-    return tuple(tuple(map(float, row)) for row in rows), section.numbers("offset", count, (0.0,) * count)
+def _transducer(section: Section, signals: tuple[Reference, ...]) -> Transducer:
+    """What makes force and moment of the signals of a sensor; empty if it logs them itself."""
+    if signals:
+        return read_transducer(section, len(signals))
+    if wrong := [name for name in Transducer._fields if name in section]:
+        raise section.error(wrong[0], "belongs to the columns that [columns] signals names, which is missing")
+    return Transducer((), (), ())
 
 
 def _references(section: Section, key: str, counts: Sequence[int]) -> tuple[Reference, ...]:

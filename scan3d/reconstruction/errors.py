@@ -28,7 +28,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
-from scan3d.rigs import GAINS, RIG_QUANTITIES, RigErrors, displaced
+from scan3d.rigs import RIG_QUANTITIES, RigErrors, displaced
 from scan3d.spatial import inverse
 from scan3d.spatial.march import free_reactions, reshaped
 
@@ -163,7 +163,8 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     moved: list[list[Array]] = [[], [], []]
     (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
     exact, right = np.zeros(len(RIG_QUANTITIES)), np.zeros(6)
-    rig, gains = recording.rig, np.zeros(len(GAINS))
+    rig = recording.rig
+    gains = np.zeros(len(rig.gains))
     # a step between the error of central differences and rounding
     errors = [(1e-2, *parts, right) for parts in zip(rig.components().T, rig.gain_components().T, strict=True)]
     size = np.zeros((len(rows), 1))
@@ -224,7 +225,7 @@ def _contacts(
     error: Array,
     gains: Array,
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18,) and gains (6,)."""
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18,) and gains (g,)."""
     rod, (force, moment) = recording.rod, wrench
     if error[17]:
         heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(error[17])))
@@ -323,9 +324,7 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
     place, turned = length * moved.place, moved.tangent
     axes = recording.axes()[rows]
     noise = _weights(recording, cloud.model)
-    bent = _contacts(
-        recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)), np.zeros(len(GAINS))
-    )
+    bent = _contacts(recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)), np.zeros(1))
     tangent = np.einsum("ni,nij->nj", bent[1], axes)
     tangential = cloud.phase[part] == planar.Phase.TANGENTIAL
     turned = np.where(tangential[:, None, None], turned, 0.0)
