@@ -9,8 +9,9 @@ By the moment alone contacts are located along sweeps: tangential contacts with 
 contact has ``β = ζ``, and between two samples it moves across the mean of their normals: two equations for the two
 forces of each sample.  The second has an error of a sixth of the step's square times the change of the curvature, of the third
 order on a smooth body, and of no more than the step times its turn at a corner.  Both hold in a plane, and in space for a
-straight rod, which bends in the plane across its moment, if the contact is frictionless, so that the force has the direction
-of the normal.  The forces are those in the plane in which the rod bends, and `Frames` is where that lies.
+straight rod, which bends in the plane across its moment: there ``β`` and the normal follow from the direction in which the
+contact slips, for friction acts against it.  The forces are those in the plane in which the rod bends, and `Frames` is where
+that lies.
 
 The first contact must be known.  A small push tells it: shortly after touch-down the moment rises by ``dm0z/dx0 = 3/s1²`` on a
 uniform rod.  An error of it dies out as one over the moment.  At the tip the same equations do not determine the forces: the
@@ -20,7 +21,8 @@ direction of a small force does not change the shape of the rod to the first ord
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -191,6 +193,10 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
 
 # Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
 _FOLLOWED, _STEPS = 1e-11, 20
+# Rounds at most in which the direction of friction is found, and the change of its angle in radians that ends them.
+_TURNS, _SETTLED = 20, 1e-4
+# Rows on each side by which slip is told, of which the best are taken.
+_WINDOWS = (1, 2, 4, 8, 16)
 
 
 class Frames(NamedTuple):
@@ -229,6 +235,9 @@ def follow(
     noise: float = 0.0,
     start_sd: ArrayLike = 0.0,
     friction_angle_sd: float = 0.0,
+    axial: Array | None = None,
+    axial_sd: float = 0.0,
+    in_space: bool = False,
 ) -> Followed:
     """The forces of tangential contacts (n,) that follow one another, by the moments (n,) that bend the rods, in ``EI/L``.
 
@@ -237,9 +246,103 @@ def follow(
     noise
         standard deviation of each component of the moment.
     friction_angle_sd
-        that of the friction angle, one error of all rows; it is that of contacts in a plane.
+        that of the friction angle, one error of all rows.
+    axial, axial_sd
+        the support reaction (n,) along the undeformed rod in ``EI/L²``, if it was measured, and its standard deviation.
+
+    in_space
+        whether contacts may slip sideways.  Friction acts against the slip, whose direction the contacts tell: both are found
+        in turns.
     """
-    rod, zeta, count = Rod() if rod is None else rod, np.arctan(friction), len(moment)
+    rod, zeta = Rod() if rod is None else rod, float(np.arctan(friction))
+    slip = _Slip(np.full(len(moment), zeta), np.zeros(len(moment)), np.zeros(len(moment)))
+    if not (friction and in_space):
+        found = _followed(frames, moment, start, slip, rod, noise, start_sd, friction_angle_sd)
+        return _with_axial(found, axial, axial_sd)
+    for _ in range(_TURNS):
+        found = _followed(frames, moment, start, slip, rod, noise, start_sd, friction_angle_sd)
+        found = _with_axial(found, axial, axial_sd)
+        last, slip = slip, _slipping(frames, found, moment, rod, zeta, slip)
+        if np.abs(slip.beta - last.beta).max() < _SETTLED:
+            break
+    return found
+
+
+def _with_axial(found: Followed, axial: Array | None, sd: float) -> Followed:
+    """The forces, conditioned on axial ones (n,) that were measured."""
+    if axial is None:
+        return found
+    force, covariance = found.force.copy(), found.covariance
+    with np.errstate(all="ignore"):
+        gain = covariance[:, :, 1] / (covariance[:, 1, 1] + sd**2)[:, None]
+    gain = np.nan_to_num(gain)
+    force += gain[:, :2] * (axial - force[:, 1])[:, None]
+    return Followed(force, covariance - gain[:, :, None] * covariance[:, None, 1])
+
+
+class _Slip(NamedTuple):
+    """Where friction points, of contacts (n,)."""
+
+    beta: Array
+    """(n,) angle by which the force deviates from the normal of the rod in the plane in which it bends."""
+    tilt: Array
+    """(n,) angle about the rod from that plane to the normal of the surface."""
+    doubt: Array
+    """(n,) standard deviation of the direction of the slip."""
+
+
+def _slipping(frames: Frames, found: Followed, moment: Array, rod: Rod, zeta: float, last: _Slip) -> _Slip:
+    """Where friction points by the motion of the contacts, half way from what was taken before."""
+    known = np.flatnonzero(np.isfinite(found.force[:, 0]))
+    if not len(known):
+        return last
+    at = _contact(frames, known, found.force[known], moment[known], rod, np.zeros(len(known)))[0]
+    (across, along), out = frames.axes[known].swapaxes(0, 1), frames.normal[known]
+    # the normal of the rod in its plane, turned back by a right angle
+    tangent = (
+        np.einsum("nk,nk->n", at.normal, across)[:, None] * along
+        - np.einsum("nk,nk->n", at.normal, along)[:, None] * across
+    )
+    sweep = frames.sweep[known]
+    first, stop = (np.searchsorted(sweep, sweep, side=side) for side in ("left", "right"))
+    place = np.arange(len(known))
+
+    def directions(rows: int) -> Array:
+        """(n, 2) unit vectors of the slip by so many rows on each side: against the tangent, and across it."""
+        low, high = np.maximum(place - rows, first), np.minimum(place + rows, stop - 1)
+        way = at.point[high] - at.point[low]
+        along_it = (way * tangent).sum(axis=1)
+        across_it = np.linalg.norm(way - along_it[:, None] * tangent, axis=1)
+        slip = np.stack([at.s1[high] - at.s1[low] - along_it, np.copysign(across_it, (way * out).sum(axis=1))], axis=1)
+        return np.asarray(slip / np.maximum(np.linalg.norm(slip, axis=1), np.finfo(float).tiny)[:, None])
+
+    windows = [directions(rows) for rows in _WINDOWS]
+    apart = [np.arccos(np.clip((one * other).sum(axis=1), -1, 1)) for one, other in pairwise(windows)]
+    best = int(np.argmin([np.sqrt((angle**2).mean()) for angle in apart]))
+    # rows share what their windows share
+    around = np.array([np.sqrt((apart[best][max(k - 3, 0) : k + 4] ** 2).mean()) for k in place])
+    cosine, sine = windows[best].T
+    beta = np.arcsin(np.sin(zeta) * cosine)
+    tilt = np.copysign(np.arccos(np.clip(np.cos(zeta) / np.cos(beta), -1, 1)), sine)
+    # rows that are not followed yet go on as the last one
+    every = np.searchsorted(known, np.arange(len(moment)), side="right") - 1
+    ahead = np.clip(every, 0, None)
+    beta, tilt = (last.beta + beta[ahead]) / 2, (last.tilt + tilt[ahead]) / 2
+    return _Slip(beta, tilt, around[ahead])
+
+
+def _followed(
+    frames: Frames,
+    moment: Array,
+    start: Array,
+    slip: _Slip,
+    rod: Rod,
+    noise: float,
+    start_sd: ArrayLike,
+    friction_angle_sd: float,
+) -> Followed:
+    """`follow` where it is known where friction points."""
+    count, of_friction = len(moment), np.cos(slip.tilt)
     _, first, number = np.unique(frames.sweep, return_index=True, return_inverse=True)
     rank = np.arange(count) - first[number]
     begin, begin_sd = start[number], np.broadcast_to(start_sd, start.shape)[number]
@@ -250,7 +353,7 @@ def follow(
     for k in range(int(rank.max(initial=-1)) + 1):
         rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
         push = moment[rows] / begin[rows]  # of a rod that is hardly bent
-        guess = np.stack([-push, moment[rows] ** 2 / 2 - push * np.sin(zeta)], axis=1)
+        guess = np.stack([-push, moment[rows] ** 2 / 2 - push * np.sin(slip.beta[rows])], axis=1)
         if k:
             rows = rows[np.isfinite(force[rows - 1, 0])]
             guess = force[rows - 1] * (moment[rows] / moment[rows - 1])[:, None]
@@ -258,29 +361,31 @@ def follow(
                 guess = 2 * force[rows - 1] - force[rows - 2]
         if not len(rows):
             break
-        last = _contact(frames, rows - 1, force[rows - 1], moment[rows - 1], rod) if k else None
+        last = _contact(frames, rows - 1, force[rows - 1], moment[rows - 1], rod, slip.tilt[rows - 1]) if k else None
 
         def equations(tried: Array, rows: Index = rows, last: Pair | None = last) -> tuple[Array, Array, Array]:
             """Residuals (n, 2), their derivatives by the numbers of a row (n, 2, 4), and by those of the row before."""
-            here, slopes = _contact(frames, rows, tried, moment[rows], rod)
+            here, slopes = _contact(frames, rows, tried, moment[rows], rod, slip.tilt[rows])
             rates = np.zeros((2, len(rows), 2, 4))
             rates[0, :, 0] = slopes.beta
             if last is None:
                 rates[0, :, 1] = slopes.s1
-                return np.stack([here.beta - zeta, here.s1 - begin[rows]], axis=1), rates[0], rates[1]
+                return np.stack([here.beta - slip.beta[rows], here.s1 - begin[rows]], axis=1), rates[0], rates[1]
             way, normal = here.point - last[0].point, here.normal + last[0].normal
             for rate, sign, by in ((rates[0], 1, slopes), (rates[1], -1, last[1])):
                 rate[:, 1] = np.einsum("nk,nkj->nj", way, by.normal) + sign * np.einsum("nk,nkj->nj", normal, by.point)
-            return np.stack([here.beta - zeta, (way * normal).sum(axis=1)], axis=1), rates[0], rates[1]
+            return np.stack([here.beta - slip.beta[rows], (way * normal).sum(axis=1)], axis=1), rates[0], rates[1]
 
         here = _newton(equations, guess)
         residual, by_here, by_before = equations(here)
-        at = _contact(frames, rows, here, moment[rows], rod)[0]
+        at = _contact(frames, rows, here, moment[rows], rod, slip.tilt[rows])[0]
         second_sd = begin_sd[rows]
         if last is not None:
             way, turn = (np.linalg.norm(new - old, axis=1) for new, old in zip(at[2:], last[0][2:], strict=True))
             curvature[rows] = turn / np.maximum(way, np.finfo(float).tiny)
             second_sd = np.minimum(way**2 * np.abs(curvature[rows] - curvature[rows - 1]) / 6, way * turn)
+            aside = ((at.point - last[0].point) * frames.normal[rows]).sum(axis=1)
+            second_sd = np.hypot(second_sd, aside * slip.beta[rows] * slip.doubt[rows])
         inverse = -_inverse(by_here[:, :, :2])
         right = (np.abs(residual).max(axis=1) < 1e3 * _FOLLOWED) & (at.s1 <= 1 + 1e-9)
         right &= np.isfinite(inverse).all(axis=(1, 2))
@@ -292,7 +397,9 @@ def follow(
         told[:, :2] = inverse @ by_before
         spread = own * np.stack([np.full(len(rows), noise), noise / moment[rows]], axis=1)[:, None]
         own_covariance = spread @ spread.transpose(0, 2, 1)
-        common[0, rows, :2] = -friction_angle_sd * inverse[:, :, 0]
+        doubt = np.pad((slip.tilt * slip.doubt)[rows, None] * inverse[:, :, 0], ((0, 0), (0, 2)))
+        own_covariance += doubt[:, :, None] * doubt[:, None]
+        common[0, rows, :2] = -friction_angle_sd * of_friction[rows, None] * inverse[:, :, 0]
         common[2 if k else 1, rows, :2] = second_sd[:, None] * inverse[:, :, 1]
         if k:
             common[:, rows] += np.einsum("nij,enj->eni", told, common[:, rows - 1])
@@ -310,8 +417,10 @@ class _Contact(NamedTuple):
     normal: Array
 
 
-def _contact(frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod) -> tuple[_Contact, _Contact]:
-    """Contacts of rows (n,), and their derivatives."""
+def _contact(
+    frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod, tilt: Array
+) -> tuple[_Contact, _Contact]:
+    """Contacts of rows (n,) with normals out of their planes by angles (n,), and their derivatives."""
     fx, fy = force.T
     with np.errstate(all="ignore"):
         found = solve("closed-form", rod, fx, fy, moment)
@@ -323,10 +432,11 @@ def _contact(frames: Frames, rows: Index, force: Array, moment: Array, rod: Rod)
     by_point = across[:, :, None] * by_x[:, None] + along[:, :, None] * by_y[:, None]
     normal = np.sin(slope) * across - np.cos(slope) * along
     tangent = np.cos(slope) * across + np.sin(slope) * along
-    by_normal = tangent[:, :, None] * by_slope
+    turned, by_normal = np.cos(tilt)[:, None], (np.cos(tilt)[:, None] * tangent)[:, :, None] * by_slope
     # the plane turns about the rod
     by_point[:, :, 3] += found.x[:, None] * out
-    by_normal[:, :, 3] += np.sin(slope) * out
+    by_normal[:, :, 3] += turned * np.sin(slope) * out
+    normal = turned * normal + np.sin(tilt)[:, None] * out
     return _Contact(found.s1, found.beta, point, normal), _Contact(by_s1, by_beta, by_point, by_normal)
 
 
@@ -445,7 +555,7 @@ def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | Non
 
 
 def follow_pushes(
-    frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None, **told: float
+    frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | None = None, **told: Any
 ) -> Followed:
     """`follow` from what `by_push` tells of the first contact of each sweep."""
     sweeps = [np.flatnonzero(frames.sweep == number) for number in np.unique(frames.sweep)]

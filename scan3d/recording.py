@@ -172,15 +172,11 @@ class Recording(Shown):
                 "tared"
             )
         if self.completed is not None and (
-            self.rig is not None or self.rod.weight_N or (self.six_axis and self.completed.channel != FORCE)
+            self.rig is not None or self.rod.weight_N or (self.six_axis and self.completed.channel not in FOLLOWED)
         ):
             raise InputError(
                 "recording: a channel is completed in a plane, of a rod without weight, and not by a calibrated rig; "
                 "measure all of fx, fy and mz"
-            )
-        if self.completed is not None and self.six_axis and (self.completed.friction or self.completed.friction_sd):
-            raise InputError(
-                "recording: in space two moments locate contacts without friction only; measure the force as well"
             )
 
     def __len__(self) -> int:
@@ -238,7 +234,7 @@ class Recording(Shown):
             self.noise_force_N >= 3**0.5 * force
             and self.noise_moment_Nm >= 3**0.5 * moment
             # a wrong coefficient of friction is the same in all rows, and forces by moments follow one another
-            and not (self.completed is not None and (self.completed.friction_sd or self.completed.channel == FORCE)),
+            and not (self.completed is not None and (self.completed.friction_sd or self.completed.channel in FOLLOWED)),
         )
 
     def reactions(self, six_axis: bool) -> tuple[Array, Array]:
@@ -442,7 +438,7 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     """
     known, rod = recording.completed, recording.rod
     assert known is not None
-    if known.channel == FORCE:
+    if known.channel in FOLLOWED:
         return _with_forces(recording)
     force, moment = recording.reactions(six_axis=False)
     reactions = {"f0x": force[:, 0], "f0y": force[:, 1], "m0z": moment[:, 2]}
@@ -474,7 +470,11 @@ def followed(recording: Recording) -> tuple[Array, Array]:
     noise = recording.noise.moment_Nm / rod.moment_unit_Nm
     pressed = np.linalg.norm(moment, axis=1) > FORCE_SIGMAS * noise
     place, axes = recording.position_m / rod.length_m, recording.axes()
-    return known.follow(pressed, recording.sweep, place, axes, moment, noise, rod.in_plane())
+    axial = recording.force_N[:, 1] / rod.force_unit_N if known.channel == ACROSS else None
+    along = (axial, recording.noise.force_N / rod.force_unit_N)
+    return known.follow(
+        pressed, recording.sweep, place, axes, moment, noise, rod.in_plane(), along, in_space=recording.six_axis
+    )
 
 
 def _with_forces(recording: Recording) -> tuple[Recording, Mask]:
@@ -535,8 +535,9 @@ CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 """The six reactions."""
 IN_PLANE = np.array([0, 1, 5])
 """Those in the plane, of the six."""
-FORCE = "force"
-"""What is completed where moments alone were measured."""
+FORCE, ACROSS = "force", "across"
+"""What is completed along sweeps where moments alone were measured, and where the force along the rod was as well."""
+FOLLOWED = (FORCE, ACROSS)
 
 
 @dataclass(frozen=True)
@@ -547,14 +548,13 @@ class Known:
     """The coefficient of friction, of contacts that are tangential or at the tip; None: all contacts are at the tip."""
     friction_sd: float = 0.0
     channel: str = ""
-    """The reaction that was completed, one of `REACTIONS`, or `FORCE`; "" as long as it is open which one."""
+    """The reaction that was completed, one of `REACTIONS` or `FOLLOWED`; "" as long as it is open which one."""
 
     def __post_init__(self) -> None:
-        if self.channel not in ("", *REACTIONS, FORCE):
-            raise InputError(
-                f"the completed channel must be one of {', '.join(REACTIONS)}, {FORCE}, got {self.channel!r}"
-            )
-        if self.channel == FORCE and self.friction is None:
+        channels = (*REACTIONS, *FOLLOWED)
+        if self.channel not in ("", *channels):
+            raise InputError(f"the completed channel must be one of {', '.join(channels)}, got {self.channel!r}")
+        if self.channel in FOLLOWED and self.friction is None:
             raise InputError("moments alone locate tangential contacts with a known friction only; state it in [known]")
 
     @property
@@ -589,11 +589,23 @@ class Known:
         return found
 
     def follow(
-        self, touching: Mask, sweep: Index, place: Array, axes: Array, moment: Array, noise: float, rod: planar.Rod
+        self,
+        touching: Mask,
+        sweep: Index,
+        place: Array,
+        axes: Array,
+        moment: Array,
+        noise: float,
+        rod: planar.Rod,
+        along: tuple[Array | None, float] = (None, 0.0),
+        *,
+        in_space: bool = False,
     ) -> tuple[Array, Array]:
         """The forces (n, 3) by the moments (n, 3), dimensionless in clamps with places (n, 3) and axes (n, 3, 3), and the
         covariances (n, 6, 6) of force and moment: zero in rows that do not touch, forces NaN in those that are left open,
         among them those whose error is as large as the force.
+
+        `along` are the axial forces (n,) and their noise, if they were measured.
 
         The moment about the rod is not read.  Each stretch of a sweep that touches begins with a small push against the rod.
         """
@@ -604,20 +616,29 @@ class Known:
         x, z, nought = moment[rows, 0] / size, moment[rows, 2] / size, np.zeros(len(rows))
         # the plane in which the rod bends is that across its moment
         across, about = np.stack([z, nought, -x], axis=1), np.stack([x, nought, z], axis=1)
-        along = np.broadcast_to([0.0, 1.0, 0.0], across.shape)
+        rod_axis = np.broadcast_to([0.0, 1.0, 0.0], across.shape)
         to_world = axes[rows]
-        plane, normal = np.stack([across, along], axis=1) @ to_world, np.einsum("ni,nij->nj", -about, to_world)
+        plane, normal = np.stack([across, rod_axis], axis=1) @ to_world, np.einsum("ni,nij->nj", -about, to_world)
         frames = Frames(stretch, place[rows], plane, normal)
         try:
-            told = {"friction": self.friction or 0.0, "friction_angle_sd": self._angle_sd}
+            told: dict[str, Any] = {
+                "friction": self.friction or 0.0,
+                "friction_angle_sd": self._angle_sd,
+                "in_space": in_space,
+            }
+            told |= {} if along[0] is None else {"axial": along[0][rows], "axial_sd": along[1]}
             found = follow_pushes(frames, size, rod=rod, noise=noise, **told)
         except ValueError as error:
             raise InputError(str(error)) from None
         force, covariance = np.zeros((len(sweep), 3)), np.zeros((len(sweep), 6, 6))
         fx, fy = found.force.T[:, :, None]
-        force[rows] = fx * across + fy * along
+        force[rows] = fx * across + fy * rod_axis
         turned = np.concatenate([-np.nan_to_num(fx) * about, size[:, None] * across], axis=1)
-        columns = [np.pad(across, ((0, 0), (0, 3))), np.pad(along, ((0, 0), (0, 3))), np.pad(about, ((0, 0), (3, 0)))]
+        columns = [
+            np.pad(across, ((0, 0), (0, 3))),
+            np.pad(rod_axis, ((0, 0), (0, 3))),
+            np.pad(about, ((0, 0), (3, 0))),
+        ]
         rates = np.stack([*columns, turned], axis=2)
         covariance[rows] = rates @ found.covariance @ rates.transpose(0, 2, 1)
         force[np.trace(covariance[:, :3, :3], axis1=1, axis2=2) > (force**2).sum(axis=1)] = np.nan

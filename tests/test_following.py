@@ -95,11 +95,38 @@ def test_logs_of_two_moments_in_space_are_imported(tmp_path):
         turned = np.cross(normal, cloud.normals) / np.linalg.norm(normal, axis=1)[:, None]
         assert np.median(np.linalg.norm(turned, axis=1)) < 0.01
     assert 0.5 < np.mean(chi) < 1.5, chi
-    with pytest.raises(InputError, match="two moments locate contacts without friction only"):
-        read(friction=0.2)
     # of the moment about z alone friction may be known; here every sweep leaves the plane
     with pytest.raises(InputError, match="tangential contacts with a known friction only"):
         read(contact="tip")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", ["force", "across"])
+def test_friction_is_known_in_space(channel):
+    """Two moments, and the force along the rod beside them, of sweeps in which the contact slips sideways."""
+    n, noise, friction = 40, 1e-4, 0.3
+    position = np.zeros((2, n, 3))
+    position[..., 0], position[..., 1], position[..., 2] = np.linspace(1, 0, n), -0.6, np.array([-0.2, 0.25])[:, None]
+    swept = sweep(Ellipsoid(AXES), position, np.tile(np.eye(3), (2, 1, 1)), friction, substeps=8)
+    force, moment = (np.nan_to_num(part).reshape(-1, 3) for part in (swept.force, swept.moment))
+    place, axes, rng = position.reshape(-1, 3), np.tile(np.eye(3), (2 * n, 1, 1)), np.random.default_rng(0)
+    true = inverse.reconstruct(force, moment, tolerance=1e-6)
+    moment, axial = (part + noise * rng.standard_normal(part.shape) for part in (moment, force[:, 1]))
+    moment[:, 1] = 0
+    touching = (np.linalg.norm(moment, axis=1) > 8 * noise) & (true.phase == planar.Phase.TANGENTIAL)
+    along = (axial if channel == "across" else None, noise)
+    known = Known(friction=friction, channel=channel)
+    found, covariance = known.follow(
+        touching, np.repeat([0, 1], n), place, axes, moment, noise, planar.Rod(), along, in_space=True
+    )
+    rows = np.flatnonzero(touching & np.isfinite(found[:, 0]))
+    assert len(rows) > 0.9 * touching.sum()
+    off = inverse.reconstruct(found[rows], moment[rows], tolerance=0.3).point - true.point[rows]
+    spread = inverse.errors(found[rows], moment[rows], (0.0, 0.0), covariance=covariance[rows]).point
+    chi = np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread + 1e-14 * np.eye(3)), off)
+    # 95 % of a normal distribution, of rows whose errors are alike
+    assert np.mean(chi < 7.8) > 0.8
+    assert np.median(np.linalg.norm(off, axis=1)) < 2e-4
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])

@@ -25,7 +25,7 @@ from scan3d.files.tables import read_table
 from scan3d.files.text import REQUIRED, Section, read_rod, read_section, rod_section, rows_as_text, to_toml
 from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, source_kind, write_together
 from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList, measures
-from scan3d.recording import FORCE, REACTIONS, Known, Recording, completed
+from scan3d.recording import FOLLOWED, FORCE, REACTIONS, Known, Recording, completed
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Gravity
 from scan3d.units import UNITS_M
@@ -218,7 +218,7 @@ def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tu
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             f"(scan3d simulate writes such a table); one sweep in one plane has the columns x0, f0x, f0y, m0z"
         )
-    further = [name for name in SIX_AXES if name in header] if known is None or known.channel == FORCE else []
+    further = [name for name in SIX_AXES if name in header] if known is None or known.channel in FOLLOWED else []
     if further and len(further) < len(SIX_AXES):
         absent = ", ".join(name for name in SIX_AXES if name not in further)
         raise InputError(

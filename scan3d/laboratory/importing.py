@@ -36,7 +36,9 @@ from scan3d.laboratory.logs import (
 from scan3d.laboratory.maps import ORIENTATION_OF, WRENCH_IN, Map, read_map
 from scan3d.laboratory.signals import Stretches, find_air, given_air, robust_sd, tare
 from scan3d.recording import (
+    ACROSS,
     CHANNELS,
+    FOLLOWED,
     FORCE,
     FORCE_SIGMAS,
     IN_PLANE,
@@ -555,13 +557,14 @@ def _recording(
     wrench: Array,
     known: Mask,
 ) -> Recording:
-    by_moments = map.known is not None and not known[:2].any()
+    channel = _completed_channel(known)
+    six_axis = bool(known.all() or (map.known is not None and channel in FOLLOWED and known[3]))
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
     return Recording(
         sweep=sweep,
         position_m=position,
         quaternion=quaternion,
-        **reaction_columns(wrench[:, :3], wrench[:, 3:], bool(known.all() or (by_moments and known[3]))),
+        **reaction_columns(wrench[:, :3], wrench[:, 3:], six_axis),
         rod=map.rod,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
@@ -571,9 +574,17 @@ def _recording(
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
         rig=map.uncertainty,
         gravity=map.gravity,
-        completed=None
-        if map.known is None
-        else replace(map.known, channel=FORCE if by_moments else list(REACTIONS)[int(np.argmin(known[IN_PLANE]))]),
+        completed=None if map.known is None else replace(map.known, channel=channel),
+    )
+
+
+def _completed_channel(known: Mask) -> str:
+    """What is completed of the clamp's channels (6,) that are known."""
+    if not known[:2].any():
+        return FORCE
+    # with both moments the rod's plane is known, and the force across it is not
+    return (
+        ACROSS if known[1] and known[3] and not known[:3:2].any() else list(REACTIONS)[int(np.argmin(known[IN_PLANE]))]
     )
 
 

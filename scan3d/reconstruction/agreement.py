@@ -77,7 +77,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.measured import as_measured, as_recorded, measured, unmeasured
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.recording import FORCE, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, of_rows, rounding_sd
+from scan3d.recording import FOLLOWED, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, of_rows, rounding_sd
 from scan3d.rigs import with_relative
 from scan3d.units import UNITS_M, angle, length, number, point, share
 
@@ -201,7 +201,7 @@ def _without_contact(fraction: float) -> list[Contradiction]:
 
 def _followed(recording: Recording) -> list[Contradiction]:
     """That nothing tests forces that follow from moments."""
-    if recording.completed is None or recording.completed.channel != FORCE:
+    if recording.completed is None or recording.completed.channel not in FOLLOWED:
         return []
     text = (
         "the forces follow from the moments on a surface that turns evenly from row to row, without corners, which nothing "

@@ -34,7 +34,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, Recording, followed, of_rows
+from scan3d.recording import FOLLOWED, FORCE_SIGMAS, IN_PLANE, Recording, followed, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
@@ -194,7 +194,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
 
 def _by_moment(recording: Recording) -> Array | None:
     """Covariances (n, 6, 6) of reactions whose forces follow from the moments; None where the forces were measured."""
-    by_moment = recording.completed is not None and recording.completed.channel == FORCE
+    by_moment = recording.completed is not None and recording.completed.channel in FOLLOWED
     return followed(recording)[1] if by_moment else None
 
 

@@ -14,7 +14,7 @@ from scan3d.arrays import Index, Mask
 from scan3d.cloud import Cloud, Unmeasured
 from scan3d.reconstruction.contacts import renumbered
 from scan3d.reconstruction.errors import felt
-from scan3d.recording import CHANNELS, FORCE, IN_PLANE, REACTIONS, Recording, of_rows
+from scan3d.recording import ACROSS, CHANNELS, FORCE, IN_PLANE, REACTIONS, Recording, of_rows
 from scan3d.units import force, moment
 from scan3d.unmeasured import Held, gaps, held_poses, of_all, parts, sentences
 
@@ -53,6 +53,8 @@ def _completed(recording: Recording) -> tuple[str, ...]:
     """The channels that were not measured, but completed."""
     if recording.completed is None:
         return ()
+    if recording.completed.channel == ACROSS:
+        return CHANNELS[:3:2]
     if recording.completed.channel == FORCE:
         return CHANNELS[:3] if recording.six_axis else CHANNELS[:2]
     return (CHANNELS[IN_PLANE[list(REACTIONS).index(recording.completed.channel)]],)
