@@ -401,7 +401,7 @@ def calibrate(
     from scan3d.laboratory.places import calibrate_signals
 
     if (sphere is not None) + plane + (known is not None) != 1:
-        raise UsageError("the reference is either --sphere D, --plane or --known PLACES")
+        raise UsageError("the reference is one of --sphere D, --plane and --known PLACES")
     if known is None and map is not None:
         raise UsageError("--map is of a log with --known; touches of a reference are imported first")
     inputs = {"recording": recording, "TOML file of the recording": sidecar(recording), "places": known, "map": map}
