@@ -23,6 +23,7 @@ from scan3d.recording import joined, of_rows
 from scan3d.rods import Gravity, Rod
 from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
+from scan3d.spatial.bodies import sphere_directions
 
 
 def _bodies(rng):
@@ -299,6 +300,16 @@ def test_the_planner_finds_what_is_unknown_by_feeling_alone():
     assert unknown.known() > 0.95
     again, _, _ = _explored(mesh, 25, seed=0)
     np.testing.assert_array_equal(again, points[: len(again)])
+
+
+def test_nothing_is_probed_where_all_is_touched():
+    points = sphere_directions(12000).T
+    unknown = Unknown(np.full(3, -1.2), np.full(3, 1.2), 5.0)
+    unknown.add(points, -points, np.stack([2 * points, points], axis=1))
+    planned = unknown.next_round()
+    assert unknown.known() == 1
+    assert planned.planes == 0
+    assert len(planned.moves.travel) == 0
 
 
 def test_the_clamp_stays_outside_of_the_body():

@@ -163,6 +163,8 @@ class Unknown:
     def next_round(self, most: int = PER_ROUND) -> Planned:
         """The probings in at most so many planes that gain most; none if nothing is left to gain."""
         cells, gain, body = self._border()
+        if not gain.any():
+            return _together([], 0)
         places = self._origin + self._cell * cells
         turn = Rotation.random(rng=self._random).as_matrix()
         beside = Rotation.from_rotvec(self._random.normal(0, _BESIDE, (len(self._best_seen), 3)))
@@ -195,8 +197,6 @@ class Unknown:
     def _promising(self, directions: Array, cells: Index, gain: Array, body: Mask) -> Array:
         """Those of directions (n, 3) along which most is gained, as told by some of the border's cells (b, 3): which of the
         directions lead there, free of the cells of the body.  What one direction sees counts for less in the others."""
-        if not gain.any():
-            return directions[:0]
         asked = self._random.choice(len(cells), min(_ASKED, int((gain > 0).sum())), replace=False, p=gain / gain.sum())
         start, shape = cells[asked], np.array(body.shape)
         free = np.ones((len(asked), len(directions)), dtype=bool)
