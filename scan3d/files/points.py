@@ -19,7 +19,7 @@ from scan3d.errors import InputError
 from scan3d.files.shapes import NORMAL, POINT, read_ply
 from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import check_readable
-from scan3d.units import UNITS_M
+from scan3d.units import FACTORS, UNITS_M, stated_unit, without_unit
 
 ENDINGS = (".csv", ".ply", ".pcd", ".xyz", ".xyzn", ".txt")
 """Of files of touches; those but PLY and PCD are text in columns."""
@@ -30,8 +30,6 @@ _NAMES = {
     **dict.fromkeys(("sd", "sigma", "std", "stddev"), "place_sd"),
 }
 _WANTED = (*POINT, *NORMAL, "place_sd", "normal_sd")
-# A unit at the end of a name, such as x_mm, x [mm] and x (mm).
-_UNIT = re.compile(r"^(?P<name>.*?)(?:\s*\[(?P<square>\w+)\]|\s*\((?P<round>\w+)\)|_(?P<end>[a-z]+))$")
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 
 
@@ -87,10 +85,10 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
         if name in found:
             raise InputError(f"{file} has two columns of {name}; leave one of them out")
         found[name] = np.asarray(values, dtype=np.float64)
-        if unit == "deg":
-            found[name] = np.radians(found[name])
-        elif unit in UNITS_M:
-            stated.add(str(unit))
+        if unit is not None and unit[0] == "angle":
+            found[name] = FACTORS["angle"][unit[1]] * found[name]
+        elif unit is not None:
+            stated.add(unit[1])
     if missing := [name for name in POINT if name not in found]:
         raise InputError(
             f"{file} has no column {one_of(missing)}: expected x, y, z, and, where they are known, nx, ny, nz, place_sd and "
@@ -106,13 +104,11 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
     )
 
 
-def _known(title: str) -> tuple[str, str | None] | None:
-    """The name of a column, and its unit if that is stated; None for one that says nothing of touches."""
-    name, unit = title.strip().lower(), None
-    if name not in (*_WANTED, *_NAMES) and (match := _UNIT.match(name)):
-        name, unit = match["name"].strip(), match["square"] or match["round"] or match["end"]
+def _known(title: str) -> tuple[str, tuple[str, str] | None] | None:
+    """The name of a column, and its quantity and unit if these are stated; None for one that says nothing of touches."""
+    name = without_unit(title).strip().lower()
     name = _NAMES.get(name, name)
-    return (name, unit) if name in _WANTED and unit in (None, "deg", "rad", *UNITS_M) else None
+    return (name, stated_unit(title)) if name in _WANTED else None
 
 
 def _text(path: Path) -> dict[str, NDArray[Any]]:
