@@ -10,7 +10,6 @@ from scan3d.bounds.planes import outer_body, planes_of_touches
 from scan3d.files.points import read_points
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.touches import contradictions
-from scan3d.surfaces.any_shape import shape_of_touches
 from tests.robustness.everyday import EVERYDAY, mesh_of
 from tests.sample_bodies import convex_hausdorff, random_body
 
@@ -75,10 +74,10 @@ def test_bodies_of_any_shape(name):
     size = np.linalg.norm(mesh.extents)
     cloud = scan3d.touches(*touched(mesh, 3000, 0))
     assert not cloud.convex
-    found = shape_of_touches(cloud)
-    assert found.surface.is_watertight
-    assert found.surface.euler_number == EVERYDAY[name].euler
-    assert scan3d.compare(found.surface, mesh).hausdorff < 0.05 * size
+    surface = scan3d.surface(cloud)
+    assert surface.is_watertight
+    assert surface.euler_number == EVERYDAY[name].euler
+    assert scan3d.compare(surface, mesh).hausdorff < 0.05 * size
 
 
 def test_normals_that_point_inwards_are_turned_and_mixed_ones_refused():

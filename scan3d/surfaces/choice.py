@@ -23,6 +23,7 @@ from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
+from scan3d.surfaces.any_shape import shape_of_touches, with_estimated_normals
 from scan3d.surfaces.estimates import FRACTIONS, UNKNOWN, Room, between, curved, regression, room, with_edges
 from scan3d.units import length
 
@@ -39,7 +40,8 @@ def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = No
         'support': the support function fitted to the contacts, for smooth bodies.
         'regression': the convex polytope that fits noisy contacts best, weighted by their covariances.
         'poisson', 'ball-pivoting': methods of open3d that do not assume a convex body; ball pivoting may leave holes.
-        'auto': whichever of the methods above but the last two predicts held-out slices best; regression only under noise.
+        'auto': whichever of the methods above but the last two predicts held-out slices best; regression only under noise. Of
+        touches of a body that is not convex a minimum cut.
     bounds
         the cloud's `enclosure`, if it has been computed already.
 
@@ -53,6 +55,8 @@ def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = No
         )
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not cloud.convex and method == "auto" and cloud.model == "touches":
+        return shape_of_touches(with_estimated_normals(cloud)).surface
     if not cloud.convex and method not in ("hull", *NOT_CONVEX):
         raise InputError(
             f"the method {method} is for convex bodies, and this one is not: choose hull, {' or '.join(NOT_CONVEX)}, or make "
