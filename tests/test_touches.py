@@ -49,6 +49,19 @@ def test_bounds_hold_for_convex_bodies(seed, noise):
     assert is_inside
 
 
+@pytest.mark.trust
+@pytest.mark.parametrize("block", range(10))
+def test_two_hundred_bodies_are_bounded(block):
+    for seed in range(20 * block, 20 * block + 20):
+        rng = np.random.default_rng([seed, 5])
+        count, place_sd, normal_sd = (
+            rng.choice(of) for of in ([60, 300, 1000], [0.0, 1e-5, 1e-4, 1e-3], [0.0, 1e-3, 0.05])
+        )
+        ratio, is_inside = bounded(random_body(seed), int(count), seed, place_sd, normal_sd * (place_sd > 0))
+        assert ratio >= 1
+        assert is_inside
+
+
 def test_planes_of_all_touches_leave_a_sphere_what_its_tangent_planes_do():
     """Of a unit sphere touched in the directions of an icosahedron the outer body is the dodecahedron."""
     points = trimesh.creation.icosahedron().vertices.view(np.ndarray)
