@@ -133,7 +133,7 @@ def test_the_gains_are_those_of_the_channels_whatever_frame_a_map_states(tmp_pat
     text = (tmp_path / "rig.toml").read_text()
     begin = text.index("\ngains = [", text.index("[covariance]"))
     (tmp_path / "rig.toml").write_text(f"{text[:begin]}\ngains = [[1.0]]{text[text.index('[map', begin) - 1 :]}")
-    with pytest.raises(InputError, match="of the gains six rows"):
+    with pytest.raises(InputError, match="of the gains 6 or 36 rows"):
         scan3d.read_rig(tmp_path / "rig.toml")
 
 

@@ -311,11 +311,16 @@ def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
     places = Places(cloud.points, np.full(len(cloud), exact_error(cloud)))
-    corners, far = outer_body(_planes(anywhere, places, np.full(len(cloud), EXACT)), bounds.inner)
+    corners, far = outer_body(_planes(anywhere, places, np.full(len(cloud), _turn_of_digits(cloud))), bounds.inner)
     if len(far):
         return bounds
     gap = np.maximum(nearest(corners, bounds.inner)[0], 0.0)
     return _tightened(bounds, corners, gap, exact_error(cloud))
+
+
+def _turn_of_digits(cloud: Cloud) -> float:
+    """Largest error of exact tangents, in radians: that of a place by the digits of a pose is theirs over more than a rod."""
+    return EXACT + cloud.pose_error / cloud.rod_length
 
 
 def _planes(cloud: Cloud, places: Places, turns: Array) -> Planes:
@@ -498,7 +503,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
     allow = allowed(cloud, confidence) if margin is None else None
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
-    places, turns = Places(cloud.centre_points, errors), np.full(len(cloud), EXACT)
+    places, turns = Places(cloud.centre_points, errors), np.full(len(cloud), _turn_of_digits(cloud))
     if margin is not None:
         turns += _TURN * (errors / cloud.rod_length) * (cloud.place_sd is not None)
     elif allow is not None and (cloud.place_sd is not None or cloud.calibration is not None):
@@ -512,7 +517,8 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
             by_sd = cloud.tangent_sd
             turns += _TURN * places.largest() / cloud.rod_length if by_sd is None else allow.kappa * by_sd
         turns = turns + allow.turn
-    planes, within = _planes(cloud, places, turns), _inner_bodies(cloud, places)
+    within = _inner_bodies(cloud, places)  # raises InputError for contacts that span no body
+    planes = _planes(cloud, places, turns)
     if places.spread is None and cloud.rod_radius:
         # more of the body follows where normals are known
         within = [
