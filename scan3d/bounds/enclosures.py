@@ -519,8 +519,8 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
         turns = turns + allow.turn
     within = _inner_bodies(cloud, places)  # raises InputError for contacts that span no body
     planes = _planes(cloud, places, turns)
-    if places.spread is None and cloud.rod_radius:
-        # more of the body follows where normals are known
+    if cloud.place_sd is None and (cloud.calibration is None or margin is not None):
+        # more of the body follows where normals are known, and all places have the same error
         within = [
             (inner, (*bodies, *_bodies_by_arcs(cloud, planes, margin)), margin) for inner, bodies, margin in within
         ]
@@ -636,7 +636,9 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
 
 def _bodies_by_arcs(cloud: Cloud, planes: Planes, margin: float) -> Iterator[tuple[Any, float]]:
     """Hulls of the points of the surface that follow from planes of exact tangents, and how far they may stick out."""
-    radius, angle = cloud.rod_radius, np.arctan(planes.slopes[:, 0])
+    radius, angle = cloud.rod_radius, np.arctan(planes.slopes).sum(axis=1)
+    if not radius:
+        return
     points = planes.points - radius * planes.normals
     # radians from the middles of the arcs
     for widest in (1e-4, 1e-3, 1e-2):

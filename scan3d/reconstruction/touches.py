@@ -62,8 +62,7 @@ def touches(
     if not np.isfinite(points).all():
         raise InputError(f"{int((~np.isfinite(points)).any(axis=1).sum())} points are not finite; leave them out")
     count, size = len(points), float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    deviations = [_deviation(given, count, name) for given, name in ((place_sd, "place_sd"), (normal_sd, "normal_sd"))]
-    place, turn = deviations
+    place, turn = _deviation(place_sd, count, "place_sd"), _deviation(normal_sd, count, "normal_sd")
     hull(points)  # raises InputError, which says why
     outward, coarse = np.full((count, 3), np.nan), 0.0
     if normals is not None:
