@@ -188,23 +188,19 @@ def _of_touches(cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, .
     """Those of touches of another probe."""
     if not cloud.convex:
         return (Premise("the surface runs through all touches", False, "not tested"),)
-    places = (
-        "places without error" if cloud.place_sd is None or not cloud.place_sd.any() else "white noise of the places"
+    places, normals = (
+        f"noise of the {name} of the stated size" if sd is not None and sd.any() else f"{name} without error"
+        for name, sd in (("places", cloud.place_sd), ("normals", cloud.normal_sd))
     )
-    normals = (
-        "normals without error" if cloud.normal_sd is None or not cloud.normal_sd.any() else "noise of the normals"
+    outcome = (
+        "some touches lie beyond planes of others" if contradicted else "no touch lies beyond the plane of another one"
     )
-    is_known = np.isfinite(cloud.normals).any()
-    outcome = "some do" if contradicted else "no touch lies beyond the plane of another one"
-    return (
+    found = (
         Premise("a convex body", True, "no touch lies inside the hull of the others"),
-        Premise(f"{places} of the stated size" if "noise" in places else places, False, "not tested"),
-        *(
-            [Premise(f"{normals} of the stated size" if "noise" in normals else normals, True, outcome)]
-            if is_known
-            else []
-        ),
+        Premise(places, False, "not tested"),
+        Premise(normals, True, outcome),
     )
+    return found if np.isfinite(cloud.normals).any() else found[:2]
 
 
 def _of_noise(recording: Recording, cloud: Cloud) -> Premise:
