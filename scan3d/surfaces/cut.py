@@ -12,7 +12,7 @@ contact, and chords between contacts lie in free space less deep than that.
 Where no contact is near, tetrahedra reach from one part of the body far into free space, or to another part.  So places that
 rods have passed there are corners as well, and tetrahedra at them are free.  Only where the near side of a wall was not touched
 a tetrahedron may reach from its far side through it: it has its costs, and places around one that becomes one of the surface by
-it are left out in a second cut.
+it are left out in a second cut, and more of them in a third: of both the one with fewer holes is taken.
 
 Nothing depends on planes, axes or a grid.
 """
@@ -75,8 +75,10 @@ _SPLINTER = 1e-3
 # Rounds in which edges of more than two faces are mended by what is cheaper, before tetrahedra are only added.
 _MENDED = 8
 # Open places are as far apart, and from contacts, as places between contacts are estimated, and at least so many spacings of
-# contacts, as tetrahedra between contacts are smaller.  Around a wrong one they are left out within so many of their distances.
-_SPARSE, _LEFT_OUT = 3.0, 3.0
+# contacts, as tetrahedra between contacts are smaller.
+_SPARSE = 3.0
+# Around a wrong one they are left out within so many of their distances, whichever leaves fewer holes.
+_LEFT_OUT = 1.0, 3.0
 # Several fans of faces at a contact are moved apart by this part of the merged contacts' distance.
 _APART = 0.02
 
@@ -140,11 +142,13 @@ def cut_surface(
     apart = max(BETWEEN * size, _SPARSE * spacing)
     opened = _opened(joggled, lines, apart)
     opened += random.uniform(-1, 1, opened.shape) * _JOGGLE * apart
-    for is_last in (False, True):
+
+    def body_with(opened: Array, *, through_walls: bool) -> Index:
+        """Faces (f, 3) of the body, if tetrahedra at open places are free: through walls as well, or on their side."""
         cells = _Cells.around(np.concatenate([joggled[corners], loose, opened]), _MARGIN * size)
         cell, depth = cells.crossed(lines)
         empty = np.bincount(cell[depth > spacing], minlength=len(cells.corners)) > 1
-        empty |= cells.at_openings(directions, len(opened), through_walls=is_last)
+        empty |= cells.at_openings(directions, len(opened), through_walls=through_walls)
         if free is not None:
             within = cells.at(free)
             inside = within[within >= 0]
@@ -153,11 +157,17 @@ def cut_surface(
         np.add.at(passed, cell, np.minimum(depth / (_DEEP * merged), 1.0))
         inside = cells.at(behind)
         touched = np.bincount(inside[inside >= 0], minlength=len(cells.corners))
-        faces = _bounded(cells, passed, touched, empty, spacing)
-        wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
-        if is_last or not wrong.any():
-            break
-        opened = opened[cKDTree(opened[wrong]).query(opened)[0] > _LEFT_OUT * apart]
+        return _bounded(cells, passed, touched, empty, spacing)
+
+    faces = body_with(opened, through_walls=False)
+    wrong = np.isin(np.arange(len(opened)) + len(directions), faces)
+    if wrong.any():
+        away = cKDTree(opened[wrong]).query(opened)[0]
+        fewer = [opened[away > left_out * apart] for left_out in _LEFT_OUT]
+        found = [body_with(places, through_walls=True) for places in fewer]
+        # open places tear holes into a wall whose near side was not touched, also where they were not wrong before
+        best = int(np.argmax([len(np.unique(faces)) - len(faces) / 2 for faces in found]))
+        opened, faces = fewer[best], found[best]
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
