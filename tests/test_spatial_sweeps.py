@@ -92,6 +92,20 @@ def scene(request):
     return past(*values)
 
 
+def test_sweeps_end_where_the_contact_comes_too_near():
+    rng = np.random.default_rng(5)
+    body, _ = cuboid(0.03, rng)
+    position, clamps = random_paths(body, 40, 48, rng)
+    whole, ended = (sweep(body, position, clamps, 0.2, nearest=nearest) for nearest in (0.0, 0.5))
+    near = whole.s1 < 0.5
+    kept = np.cumsum(near, axis=1) - near == 0
+    assert 0.1 < near.any(axis=1).mean() < 0.9
+    assert (np.isnan(ended.s1) == np.isnan(whole.s1))[kept].all()
+    assert np.nanmax(np.abs(ended.force - whole.force)[kept]) < 1e-9
+    assert np.isnan(ended.s1[~kept]).all()
+    assert ((ended.end == End.NEAR) == near.any(axis=1)).all()
+
+
 def test_sweeps_touch_leave_and_are_stable(scene):
     result, touching = scene.result, np.isfinite(scene.result.s1)
     assert touching.any(axis=1).mean() > 0.3

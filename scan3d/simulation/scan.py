@@ -75,6 +75,8 @@ Progress = Callable[[int, int], None]
 
 # Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.
 _ROUNDS = 2
+# Arc length of a contact, in rod lengths, below which a sweep in space ends: the force grows without limit.
+_NEAREST = 0.2
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -638,19 +640,15 @@ def _sweep_in_space(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: i
     keys = [[plan.seed, 3, number, int(row)] for row in rows]
     friction = np.array([drawn_friction(plan.friction_range, samples, key) for key in keys])
     axes = lines.axes[rows]
-    result = sweep(body, position, axes, friction, effort=400)
+    result = sweep(body, position, axes, friction, effort=400, nearest=_NEAREST)
     return [_SpatialSweeps(position, axes, result)]
 
 
 def _recording_in_space(swept: list[_SpatialSweeps], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:
-    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact.
-
-    A sweep ends before its contact comes so near to the clamp that the clamp would soon hit the body.
-    """
+    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact."""
     number, position, wrench, sweeps = [], [], [], 0
     for part in swept:
-        # in rod lengths: the force grows without limit
-        too_near = np.maximum.accumulate(part.result.s1 < 0.2, axis=1)
+        too_near = np.maximum.accumulate(part.result.s1 < _NEAREST, axis=1)
         touching = np.isfinite(part.result.s1) & ~too_near
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)

@@ -340,6 +340,8 @@ class End(IntEnum):
     """The rod lost contact, smoothly or by a snap."""
     LOST = 3
     """The computation found no equilibrium, and no way to one."""
+    NEAR = 4
+    """Where the contact came too near to the clamp."""
 
 
 @dataclass(frozen=True)
@@ -381,6 +383,7 @@ def sweep(
     *,
     substeps: int = 1,
     effort: int = 800,
+    nearest: float = 0.0,
 ) -> Sweeps:
     """Sweeps of a round rod of length 1 past a convex body.
 
@@ -395,12 +398,14 @@ def sweep(
         in proportion to the steps.
     effort
         steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
+    nearest
+        arc length of the contact below which a sweep ends (`End.NEAR`), since the clamp would soon hit the body.
 
     A rod that has lost contact touches again where its path leads it back.  Raises ValueError for paths that begin in the body.
     """
     place, mu = np.asarray(position, dtype=float), np.asarray(friction, dtype=float)
     mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, place.shape[:2])
-    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort)
+    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort, nearest)
     touch = first_touches(body, lanes.paths)
     while len(touch.number):
         touch = later_touches(body, lanes.paths, *lanes.run(touch))
@@ -511,10 +516,10 @@ class _States:
 class _Lanes:
     """Sweeps past `body` on `paths` with coefficients of friction (m, n), in steps of one sample over `substeps`."""
 
-    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int) -> None:
+    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int, nearest: float) -> None:
         self.body, self.paths, self.friction = body, paths, friction
         self.results = _untouched(*friction.shape)
-        self._longest, self._effort = 1.0 / substeps, effort
+        self._longest, self._effort, self._nearest = 1.0 / substeps, effort, nearest
         self._last = paths.samples - 1
         # steps of Newton's method before a step fails: on a polyhedron each ends at the border of a face, an edge or a vertex
         self._patience = 9 if body.smooth else 25
@@ -721,6 +726,7 @@ class _Lanes:
         lanes.mode[rows], lanes.branches[rows], lanes.frozen[rows] = Mode.SLIDE, 0, _FROZEN_STEPS
         self._predict(rows[(lanes.last_step[rows] > 0) & ~irregular])
         self._finish(rows[lanes.progress[rows] > self._last - NEGLIGIBLE], End.PATH)
+        self._finish(rows[reached & (lanes.state[3, rows] < self._nearest)], End.NEAR)
 
     def _record(self, rows: Index, sample: Index, rod: Bent, patch: Patch, equations: System) -> None:
         """Record the lanes `rows` (k,) at the samples (k,) that they have reached, and begin to count anew."""
