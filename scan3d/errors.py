@@ -9,6 +9,10 @@ class InputError(ValueError):
     """An input that can't be used; the message says what was expected, what came, and what to do."""
 
 
+class NoBodyError(InputError):
+    """Contacts that span no body, such as those of one sweep: they have neither surface nor bounds."""
+
+
 class UsageError(InputError):
     """An option or a setting that can't be used; the command line exits with 2, as for an option that it does not know."""
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,12 @@ from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_with_points
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
+from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
@@ -45,9 +47,6 @@ from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 from scan3d.workers import said_if_ended, tell
 
-# The views of the pictures in a result's folder.
-_VIEWS = ("cloud", "surface")
-_JOBS = [(".png", {"view": name}) for name in _VIEWS]
 Notify = Callable[[str], None]
 """Is called with a sentence on what a user should know, such as that pictures cannot be rendered."""
 
@@ -152,11 +151,7 @@ def touched(
             cloud, truth, source = read()
 
         scenes: list[Scene] = []
-
-        def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
-            scenes.append(_with_shown(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local))))
-            drawing.begin(scenes[0], _JOBS)
-
+        draw = partial(_begin, drawing, truth, scenes)
         analysis = analyse_touches(cloud, truth, settings["method"], source=source, clock=clock, made=draw)
         return analysis, _put(analysis, result, {}, settings, clock, drawing, scenes[0], notify)
 
@@ -177,17 +172,14 @@ def _performed(
             files = {} if result.reads_recording else recording_files(recording, RECORDING[0])
 
         scenes: list[Scene] = []
-
-        def draw(cloud: Cloud, mesh: Any, local: Array) -> None:
-            scenes.append(_with_shown(of_cloud(cloud, surface=mesh, truth=truth, bound=_shown(local))))
-            drawing.begin(scenes[0], _JOBS)
-
+        draw = partial(_begin, drawing, truth, scenes)
         with result.kept(files) as how_to_go_on, said_if_ended(how_to_go_on):
             analysis = analyse(
                 recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw
             )
             bodies = ("surface", "true body")
-            if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
+            sizes = None if truth is None or not analysis.has_surface else (analysis.surface.extents, truth.extents)
+            if sizes and (remark := unit_remark(*sizes, bodies)):
                 notify(remark)
             return analysis, _put(analysis, result, files, settings, clock, drawing, scenes[0], notify)
 
@@ -208,7 +200,7 @@ def analyse(
     *,
     reach: float = 0.0,
     clock: Clock | None = None,
-    made: Callable[[Cloud, Any, Array], None] = lambda *_: None,
+    made: Callable[[Analysis], None] = lambda _: None,
 ) -> Analysis:
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
@@ -222,9 +214,10 @@ def analyse(
         radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known, so that a bead alone
         bounds such a body.
     made
-        is called with the contacts, the surface and the bounds at its vertices, as soon as all are known.
+        is called with the analysis as soon as surface and certificate are known.
 
-    Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
+    Where the recording contradicts the model, the analysis has warnings and no certificate; where the contacts span no body, it
+    has neither surface nor certificate, and says why.  Writes and prints nothing.  Raises
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
     """
     clock = clock or Clock()
@@ -235,8 +228,11 @@ def analyse(
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):
         warnings, diagnosis = checked(recording, cloud)
-    bounded = _bounded(cloud, recording, warnings, method, reach, clock)
-    made(bounded.cloud, bounded.surface, bounded.certificate.at_vertices)
+    try:
+        bounded = _bounded(cloud, recording, warnings, method, reach, clock)
+    except NoBodyError as error:
+        bounded = _without_body(cloud, recording, warnings, str(error))
+    made(bounded)
     return _finished(replace(bounded, diagnosis=diagnosis), truth, clock)
 
 
@@ -247,7 +243,7 @@ def analyse_touches(
     *,
     source: Mapping[str, Any] | None = None,
     clock: Clock | None = None,
-    made: Callable[[Cloud, Any, Array], None] = lambda *_: None,
+    made: Callable[[Analysis], None] = lambda _: None,
 ) -> Analysis:
     """As `analyse`, of touches of another probe, which `source` says where they come from."""
     clock = clock or Clock()
@@ -255,7 +251,7 @@ def analyse_touches(
         warnings = contradictions(cloud)
         cloud = cloud if cloud.convex else with_estimated_normals(cloud)
     bounded = _bounded(cloud, None, warnings, method, 0.0, clock)
-    made(bounded.cloud, bounded.surface, bounded.certificate.at_vertices)
+    made(bounded)
     return _finished(replace(bounded, source={"kind": "touches", **(source or {})}), truth, clock)
 
 
@@ -296,6 +292,18 @@ def _bounded(
     return Analysis(recording, cloud, bounds, mesh, certified, any_shape=found, reach=reached, warnings=tuple(warnings))
 
 
+def _without_body(
+    cloud: Cloud, recording: Recording | None, warnings: Sequence[Contradiction], reason: str
+) -> Analysis:
+    """The analysis of contacts that span no body, with the reason in the place of a surface."""
+    import trimesh
+
+    nothing = trimesh.Trimesh(metadata={"method": None, "reason": reason})
+    nothing.units = cloud.unit
+    bounds = unbounded(cloud)
+    return Analysis(recording, cloud, bounds, nothing, certificate(bounds, nothing), warnings=tuple(warnings))
+
+
 def _finished(analysis: Analysis, truth: Any, clock: Clock) -> Analysis:
     """The analysis, compared with the truth if that is given, and the time that all took."""
     if truth is not None:
@@ -305,6 +313,8 @@ def _finished(analysis: Analysis, truth: Any, clock: Clock) -> Analysis:
 
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
+    if not analysis.has_surface:
+        return replace(analysis, truth=truth, contact_error=distances(analysis.cloud.points, truth))
     within = 0.0 if analysis.any_shape is None else analysis.any_shape.apart
     comparison, contact_error, reached = compare_with_points(analysis.surface, analysis.cloud.points, truth, within)
     itself = mesh_itself(truth)
@@ -326,11 +336,11 @@ def write(
 
     The report repeats the settings; `overwrite` and what is raised are those of `files.whole.replacing`.
     """
+    scenes: list[Scene] = []
     with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
-        scene = _with_shown(to_scene(analysis))
-        drawing.begin(scene, _JOBS)
+        _begin(drawing, analysis.truth, scenes, analysis)
         files = recording_files(analysis.recording, RECORDING[0]) if analysis.recording else {}
-        return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, scene, lambda _: None)
+        return _put(analysis, result, files, settings, Clock(analysis.seconds), drawing, scenes[0], lambda _: None)
 
 
 def _put(
@@ -357,8 +367,9 @@ def _put(
 def _put_tables(analysis: Analysis, result: Replacement) -> None:
     cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
     result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
-    vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
-    result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
+    if analysis.has_surface:
+        vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
+        result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
     for name, body in (("outer", analysis.reach.outer), ("inner", analysis.reach.inner)) if analysis.reach else ():
         if len(body.faces):
             result.put(f"{name}.ply", ply(surface_table(body, None), body.faces, comments=comments))
@@ -374,13 +385,23 @@ def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: N
     except DrawingError as error:
         notify(f"no pictures: {error}; all other files are written")
         return
-    for name, data in zip(_VIEWS, pictures, strict=True):
+    for name, data in zip(_views(scene), pictures, strict=True):
         result.put(f"{name}.png", data)
 
 
-def _with_shown(scene: Scene) -> Scene:
-    """The scene with the distances of its surface from the truth, which the page and the child that draws need both."""
-    return replace(scene, shown=shown_surface(scene))
+def _views(scene: Scene) -> tuple[str, ...]:
+    """The views of the pictures in a result's folder."""
+    return ("cloud",) if scene.surface is None else ("cloud", "surface")
+
+
+def _begin(drawing: Drawing, truth: Any, scenes: list[Scene], analysis: Analysis) -> None:
+    """Begin the pictures of contacts and surface, whose scene is added to `scenes`.
+
+    The distances of the surface from the truth are in it, which the page and the child that draws need both.
+    """
+    scene = to_scene(replace(analysis, truth=truth, recording=None))
+    scenes.append(scene if scene.surface is None else replace(scene, shown=shown_surface(scene)))
+    drawing.begin(scenes[0], [(".png", {"view": name}) for name in _views(scene)])
 
 
 def _shown(local: Array) -> Any:
@@ -397,7 +418,7 @@ def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> S
         analysis.cloud,
         analysis.contact_error,
         name=Path(str(named)).stem if named else "body",
-        surface=analysis.surface,
+        surface=analysis.surface if analysis.has_surface else None,
         bound=_shown(local),
         truth=truth,
         recording=analysis.recording,

@@ -20,6 +20,7 @@ from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, cer
 from scan3d.bounds.reach import Reach
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
+from scan3d.errors import NoBodyError
 from scan3d.files.whole import SCHEMA
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
@@ -42,7 +43,8 @@ class Analysis:
     cloud: Cloud
     bounds: Enclosure
     surface: trimesh.Trimesh
-    """A `trimesh.Trimesh` in the cloud's unit; `metadata` has its `method` and the `reason` for it."""
+    """A `trimesh.Trimesh` in the cloud's unit; `metadata` has its `method` and the `reason` for it.  Empty, with the reason,
+    where the contacts span no body."""
     certificate: Certificate
     truth: trimesh.Trimesh | None = None
     """The true body, a `trimesh.Trimesh`."""
@@ -71,6 +73,17 @@ class Analysis:
         return f"Analysis of {len(self.cloud)} contacts: {len(self.surface.faces)} faces"
 
     @property
+    def has_surface(self) -> bool:
+        """Whether the contacts span a body."""
+        return len(self.surface.faces) > 0
+
+    def checked_surface(self) -> trimesh.Trimesh:
+        """The surface.  Raises NoBodyError if the contacts span no body."""
+        if not self.has_surface:
+            raise NoBodyError(self.surface.metadata["reason"])
+        return self.surface
+
+    @property
     def origin(self) -> Mapping[str, Any]:
         """Where the contacts come from: the source of the recording, or of touches."""
         return self.source if self.recording is None else self.recording.source
@@ -89,7 +102,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
         "body": {
             "convex": cloud.convex and not (recording and recording.stated_hollow),
-            "parts": int(surface.body_count),
+            "parts": int(surface.body_count) if analysis.has_surface else None,
         },
         "settings": dict(settings),
         "source": dict(analysis.origin),
@@ -109,7 +122,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
-        "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
+        "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate) if analysis.has_surface else [],
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": {
@@ -133,9 +146,9 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "surface": {
             "method": surface.metadata["method"],
             "reason": surface.metadata["reason"],
-            "watertight": bool(surface.is_watertight),
+            "watertight": bool(surface.is_watertight) if analysis.has_surface else None,
             "faces": len(surface.faces),
-            "volume": float(surface.volume),
+            "volume": float(surface.volume) if analysis.has_surface else None,
             "volume_error": None if comparison is None else comparison.volume_error,
         },
         "normals": None
@@ -242,10 +255,11 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
         "of an import or in the TOML file of the recording"
     )
-    reached = analysis.reach
+    reached, why = analysis.reach, analysis.surface.metadata["reason"]
+    if analysis.has_surface:
+        why = "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud)
     left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
     contours = np.inf if contours is not None and analysis.warnings else contours
-    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if reached is not None:
@@ -255,7 +269,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         assumed += (Premise(reached.premise, True, outcome),)
     return {
         "bound": bound,
-        "relative": bound / diagonal,
+        "relative": analysis.certificate.relative(cloud.points),
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
         "confidence": _confidence(cloud, bounds, analysis.certificate, contours)
@@ -268,7 +282,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         **({} if cloud.unmeasured is None else {"not_measured": list(cloud.unmeasured.words)}),
         "table": cloud.table,
         **({} if analysis.any_shape is None else {"contours": {"bound": contours}, **_between(reached)}),
-        "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
+        "missing": why,
         "grown": grown if is_real and recording and not recording.rod.diameter_m else None,
         # without a bound neither it nor the volume has parts or ends
         "parts": parts if bounds.confidence else dict.fromkeys(parts),
@@ -495,7 +509,7 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
-    rows.append(("surface", f"{surface['method']}, {closed}"))
+    rows.append(("surface", f"{surface['method']}, {closed}" if surface["method"] else f"none: {surface['reason']}"))
     if hausdorff:
         to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""
         rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
@@ -515,6 +529,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     rows += _known_rows(data)
     if data["warnings"]:
         rows.append(("certified", f"nothing, because {_contradicted(data)}: see the warnings"))
+    elif not surface["method"]:
+        rows.append(("certified", "nothing, as there is no surface"))
     elif "contours" in certified:
         bound, contours = certified["contours"]["bound"], "nothing"
         if bound is not None and np.isfinite(bound):
@@ -564,6 +580,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
 def _in_a_sentence(data: Mapping[str, Any]) -> str:
     """What a report comes to: how far the surface can be from the body, or how much of it is known."""
     certified, coverage = data["certificate"], data["coverage"]
+    if not data["surface"]["method"]:
+        return "contacts, and neither surface nor certificate"
     if data["warnings"]:
         return f"nothing certified: {_contradicted(data)}"
     if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):

@@ -29,7 +29,7 @@ from scan3d.calibration.report import calibrate as calibrate_rig
 from scan3d.choices import Color, Method, Model, Tare, View, one_of
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
-from scan3d.errors import InputError, import_open3d
+from scan3d.errors import InputError, NoBodyError, import_open3d
 from scan3d.files import whole
 from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
@@ -337,8 +337,7 @@ class Result(Shown):
 
     def __post_init__(self) -> None:
         if self.analysis is not None:  # what was computed is not read
-            names = ("recording", "cloud", "surface", "certificate", "comparison")
-            self.__dict__.update({name: getattr(self.analysis, name) for name in names})
+            self.__dict__.update({name: getattr(self.analysis, name) for name in ("recording", "cloud", "certificate")})
 
     @cached_property
     def recording(self) -> Recording:
@@ -381,11 +380,17 @@ class Result(Shown):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """The closed surface, with its method in `metadata`.  Raises InputError if the folder has none."""
-        mesh = self._files.surface
+        """The closed surface, with its method in `metadata`.
+
+        Raises NoBodyError if the contacts span no body, and InputError if the folder lacks the surface.
+        """
+        if self.analysis is not None:
+            return self.analysis.checked_surface()
+        mesh, known = self._files.surface, self.report.get("surface") or {}
+        if not known.get("method", True):
+            raise NoBodyError(known["reason"])
         if mesh is None:
             raise InputError(f"{self.folder} has no surface.ply; run the scan again")
-        known = self.report.get("surface") or {}
         mesh.units = self._files.unit
         if self._files.bound is not None:
             mesh.vertex_attributes["bound"] = np.asarray(self._files.bound, dtype=float)
@@ -396,7 +401,8 @@ class Result(Shown):
     def certificate(self) -> Certificate:
         """How far the surface can be from the body, from touch alone; local bounds of a folder are rounded to 24 bits."""
         bound, local = (self.report.get("certificate") or {}).get("bound"), self._files.bound
-        unknown = np.full(len(self.surface.vertices), np.inf)
+        surface = self._files.surface
+        unknown = np.full(0 if surface is None else len(surface.vertices), np.inf)
         scanned = (self.report.get("mesh") or {}).get("scanned", "mesh")
         return Certificate(
             np.inf if bound is None else float(bound),
@@ -406,13 +412,15 @@ class Result(Shown):
 
     @cached_property
     def comparison(self) -> Comparison | None:
-        """The distances between the surface and the mesh; None if the scan was made without one.
+        """The distances between the surface and the mesh; None if the scan was made without one, and without a surface.
 
         Raises InputError if an earlier version has written the report, which does not hold them.
         """
-        if self.report.get("mesh") is None:
-            return None
+        if self.analysis is not None:
+            return self.analysis.comparison
         known = self.report.get("comparison")
+        if self.report.get("mesh") is None or (known is None and not self.report["surface"]["method"]):
+            return None
         if not isinstance(known, Mapping) or set(known) != {field.name for field in dataclasses.fields(Comparison)}:
             raise InputError(
                 f"{self._place / REPORT} does not hold the comparison with the mesh: an earlier version has written "
@@ -514,9 +522,9 @@ class Scanned(Result):
 
     @cached_property
     def comparison(self) -> Comparison:
-        """The distances between the surface and the mesh."""
-        found = super().comparison
-        assert found is not None
+        """The distances between the surface and the mesh.  Raises NoBodyError as `surface`."""
+        if (found := super().comparison) is None:
+            raise NoBodyError(self.report["surface"]["reason"])
         return found
 
 

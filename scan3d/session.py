@@ -16,7 +16,7 @@ from scan3d.bounds.free_space import passed_lines
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import distance_from_hull
+from scan3d.geometry.hulls import distance_from_hull, hull
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
@@ -85,6 +85,7 @@ class Session(Described):
         self._check_around()
         if not self.cloud.convex:
             return self._probings(max(1, sweeps // rig.SIDES))
+        self._known.checked_surface()  # raises NoBodyError
         chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
         return self._numbered(chosen)
 
@@ -143,8 +144,8 @@ class Session(Described):
 
     @property
     def surface(self) -> trimesh.Trimesh:
-        """The surface, a `trimesh.Trimesh`."""
-        return self._known.surface
+        """The surface, a `trimesh.Trimesh`.  Raises NoBodyError if the contacts so far span no body."""
+        return self._known.checked_surface()
 
     @property
     def certificate(self) -> Certificate:
@@ -159,7 +160,7 @@ class Session(Described):
     @property
     def relative_bound(self) -> float:
         """The certified bound, relative to the diagonal of the contacts' bounding box."""
-        return self.certificate.bound / float(np.linalg.norm(np.ptp(self.cloud.points, axis=0)))
+        return self.certificate.relative(self.cloud.points)
 
     @property
     def known(self) -> str:
@@ -268,9 +269,10 @@ class Session(Described):
 def around_contacts(recording: Recording, model: str) -> rig.Envelope:
     """A cylinder about the z axis that contains the contacts of a recording with a margin.
 
-    Raises InputError for contacts below z = 0, where the table is.
+    Raises NoBodyError for contacts that span no body, and InputError for those below z = 0, where the table is.
     """
     cloud = reconstruct(recording, model=model)
+    hull(cloud.points)  # raises NoBodyError: one slice does not tell how large the body is
     low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
     if low < -1e-6 * cloud.rod_length:
         raise InputError(

@@ -42,6 +42,10 @@ class Certificate(NamedTuple):
     of: str = "body"
     """What was touched; the convex hull of a mesh that is not convex, where that was scanned in its place."""
 
+    def relative(self, points: Array) -> float:
+        """The bound in diagonals of the bounding box of contacts (n, 3)."""
+        return self.bound / float(np.linalg.norm(np.ptp(points, axis=0))) if self.bound < np.inf else np.inf
+
     def __repr__(self) -> str:
         known = self.at_vertices[np.isfinite(self.at_vertices)]
         local = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "unknown"
@@ -59,7 +63,7 @@ def certificate(bounds: Enclosure, surface: Any, *, convex: bool = False) -> Cer
     surface that is open or not convex is compared with the inner body, and the bound of the inner body is added to the
     distance.
     """
-    vertices = np.asarray(surface.vertices)
+    vertices = np.asarray(surface.vertices).reshape(-1, 3)
     if not bounds.confidence:
         return Certificate(np.inf, np.full(len(vertices), np.inf))
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))

@@ -55,7 +55,7 @@ from scan3d.bounds.constraints import (
 from scan3d.bounds.noise import confident
 from scan3d.bounds.planes import Planes, outer_body, planes_of_arcs, planes_of_touches, with_table
 from scan3d.cloud import Cloud, Tilt
-from scan3d.errors import InputError
+from scan3d.errors import NoBodyError
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
@@ -203,7 +203,7 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
     the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
     tangents.  Contacts of the spatial model lie in no slices, and touches of other probes have planes.  A rod whose radius
-    changes along it bounds nothing.  Raises InputError for contacts that do not span a body.
+    changes along it bounds nothing.  Raises NoBodyError for contacts that do not span a body.
     """
     if cloud.fattened is not None:
         bounds = _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
@@ -228,9 +228,12 @@ def bounding_nothing(bounds: Enclosure) -> Enclosure:
 
 
 def unbounded(cloud: Cloud) -> Enclosure:
-    """The enclosure of a body that need not be convex: the contacts' hull, which bounds nothing."""
-    nothing = np.empty((0, 3))
-    inner = hull(cloud.points[np.isfinite(cloud.points).all(axis=1)])
+    """The enclosure that bounds nothing: the contacts' hull, empty where they span no body."""
+    import trimesh
+
+    nothing, inner = np.empty((0, 3)), trimesh.Trimesh()
+    with suppress(NoBodyError):
+        inner = hull(cloud.points[np.isfinite(cloud.points).all(axis=1)])
     return Enclosure(
         inner=inner, corners=nothing, gap=np.empty(0), bound=np.inf, margin=0.0, volume=(0.0, np.inf), confidence=0.0
     )
@@ -412,7 +415,7 @@ def _excess(cloud: Cloud, allow: Allowed, by_axis: list[SliceStack]) -> float:
 
 def _proven_hull(by_axis: list[SliceStack]) -> Any:
     """The hull of all points that lie in the body with the stacks' confidence; None if they span no body."""
-    with suppress(InputError):
+    with suppress(NoBodyError):
         return hull(np.concatenate([np.empty((0, 3)), *(s.contour(i) for s in by_axis for i in range(len(s.slices)))]))
     return None
 
@@ -500,7 +503,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     assert cloud.centre_points is not None
     assert cloud.tangents is not None
     if not len(cloud):
-        raise InputError("0 contacts span no body: a surface needs contacts all around it")
+        raise NoBodyError("0 contacts span no body: a surface needs contacts all around it")
     allow = allowed(cloud, confidence) if margin is None else None
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
     places, turns = Places(cloud.centre_points, errors), np.full(len(cloud), _turn_of_digits(cloud))
@@ -517,7 +520,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
             by_sd = cloud.tangent_sd
             turns += _TURN * places.largest() / cloud.rod_length if by_sd is None else allow.kappa * by_sd
         turns = turns + allow.turn
-    within = _inner_bodies(cloud, places)  # raises InputError for contacts that span no body
+    within = _inner_bodies(cloud, places)  # raises NoBodyError for contacts that span no body
     planes = _planes(cloud, places, turns)
     if cloud.place_sd is None and (cloud.calibration is None or margin is not None):
         # more of the body follows where normals are known, and all places have the same error
@@ -547,17 +550,17 @@ _Within = tuple[Any, tuple[tuple[Any, float], ...], float]
 
 
 def _inner_bodies(cloud: Cloud, places: Places) -> list[_Within]:
-    """Hulls of contacts with uncertain places: of all, and of those with smaller errors.  Raises InputError as `hull`."""
+    """Hulls of contacts with uncertain places: of all, and of those with smaller errors.  Raises NoBodyError as `hull`."""
     candidates: list[_Within] = []
     largest = places.largest()
     for least in np.unique(np.quantile(largest, (1.0, 0.85, 0.7, 0.5)))[::-1]:
         kept = largest <= least
-        with suppress(InputError):
+        with suppress(NoBodyError):
             centre_hull = hull(places.points[kept])
             margin, inner = _error_of_hull(centre_hull, places), _inner_body(cloud.select(kept), centre_hull)
             candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
     if not candidates:
-        hull(places.points)  # raises InputError, which says why
+        hull(places.points)  # raises NoBodyError, which says why
     return candidates
 
 
@@ -643,6 +646,6 @@ def _bodies_by_arcs(cloud: Cloud, planes: Planes, margin: float) -> Iterator[tup
     # radians from the middles of the arcs
     for widest in (1e-4, 1e-3, 1e-2):
         narrow = angle <= widest
-        with suppress(InputError):
+        with suppress(NoBodyError):
             if narrow.sum() > 3:
                 yield hull(points[narrow]), radius * widest + margin

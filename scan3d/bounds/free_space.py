@@ -26,7 +26,7 @@ from planar.hidden import SNAPPED
 from scan3d.arrays import Array, Index, Mask, ranges, ratio
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import with_rows
 from scan3d.reconstruction.errors import felt
@@ -136,7 +136,7 @@ def spacing_of(cloud: Cloud, recording: Recording | None = None) -> float:
         step = np.linalg.norm(np.diff(recording.position_m, axis=0), axis=1)[np.diff(recording.sweep) == 0]
         step = step[step > 0] / UNITS_M[cloud.unit]
     if not len(step):
-        raise InputError(
+        raise NoBodyError(
             "the recording has no sweep with two contacts one after the other; take more samples in a sweep"
         )
     return float(np.median(step))

@@ -166,12 +166,5 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
 def _recording_scene(path: Path) -> Any:
     from scan3d import pipeline
     from scan3d.files.recordings import read_recording
-    from scan3d.pictures.parts import of_cloud
-    from scan3d.reconstruction import reconstruct as reconstruct_recording
 
-    recording = read_recording(path)
-    try:
-        scene = pipeline.to_scene(pipeline.analyse(recording))
-    except InputError:  # contacts in one plane do not span a body, but can be shown
-        return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
-    return dataclasses.replace(scene, name=path.stem)
+    return dataclasses.replace(pipeline.to_scene(pipeline.analyse(read_recording(path))), name=path.stem)

@@ -399,7 +399,7 @@ def export(
     contents = _contents(ending, what)
     if ending == _METRES and unit not in (None, "m"):
         raise InputError(f"{ending} is in metres by its specification, and can't be in {unit}; leave the unit out")
-    shape = read_part(source, contents[0])
+    shape = read_part(source, *contents)
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
@@ -534,20 +534,22 @@ def _contents(ending: str, what: str | None) -> list[str]:
     return [what]
 
 
-def read_part(source: Path, what: str) -> Shape:
-    """The cloud or the surface of a scan's folder, or what a PLY file holds."""
+def read_part(source: Path, *contents: str) -> Shape:
+    """The cloud or the surface of a scan's folder, the first of `contents` that it has, or what a PLY file holds."""
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
-    if source.is_dir():
-        check_finished(source)
-        name = f"{what}.ply"
-        if not locate(source / name).is_file():
-            raise InputError(
-                f"there is no {name} in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
-            )
-        check_belongs(source, read_report(source), [name])
-        return read_shape(locate(source / name))
-    return read_shape(locate(source))
+    if not source.is_dir():
+        return read_shape(locate(source))
+    check_finished(source)
+    report, names = read_report(source), [f"{what}.ply" for what in contents]
+    name = next((name for name in names if locate(source / name).is_file()), None)
+    if name is None:
+        surface = report.get("surface") or {}
+        why = surface["reason"] if not surface.get("method", True) else ""
+        instead = why or "give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
+        raise InputError(f"there is no {names[0]} in {source}: {instead}")
+    check_belongs(source, report, [name])
+    return read_shape(locate(source / name))
 
 
 def _pcd(shape: Shape) -> bytes:

@@ -35,7 +35,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest, ranges, unit_or_zero
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.distance import bounding_box, check_mesh, nearest, poly_data, welded
 from scan3d.geometry.triangles import (
     areas,
@@ -450,10 +450,9 @@ def hull_near(points: Array, faces: Index) -> Any:
     return hull(points) if found is None else _mesh(points, found)
 
 
-def _no_body(points: Array) -> InputError:
-    return InputError(
-        f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
-    )
+def _no_body(points: Array) -> NoBodyError:
+    few = "one contact spans" if len(points) == 1 else f"the {len(points)} contacts span"
+    return NoBodyError(f"{few} no body: a surface needs contacts in at least two slices, not all in one plane")
 
 
 def _by_planes(qhull: ConvexHull) -> Index:

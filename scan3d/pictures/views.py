@@ -280,9 +280,7 @@ def histograms(scene: Scene, sheet: Sheet) -> Any:
     the area stated.  Raises InputError without a surface, and without either of the two.
     """
     if scene.surface is None:
-        raise InputError(
-            f"{scene.name} has no surface, whose deviation and bound the view histogram shows: give a scan's folder"
-        )
+        raise InputError(f"{scene.name} has no surface, whose deviation and bound the view histogram shows")
     mesh, deviation, bound, _ = parts.shown_surface(scene)
     shown: list[tuple[str, Array, str]] = []
     if deviation is not None:

@@ -102,8 +102,8 @@ class _Rows:
 
     def alone(self) -> Mask:
         """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
-        step = np.median(np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps]))
-        return self._unconfirmed(self.touching, self.touching, 5.0 * float(step))
+        steps = np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps])
+        return self._unconfirmed(self.touching, self.touching, 5.0 * float(np.median(steps)) if len(steps) else 0.0)
 
     def beside(self, wrong: Mask) -> Mask:
         """(n,) contacts next to a wrong one of their sweep, with no other contact where they are.

@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from scan3d.arrays import Array, Mask, unit_or_zero
 from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, passed_lines, sheets_of, spacing_of
 from scan3d.cloud import TOUCHED, Cloud, NormalSource
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.crossings import first_crossings
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import areas, dot, face_normals, kept_apart
@@ -78,7 +78,7 @@ def any_shape(recording: Recording, cloud: Cloud) -> AnyShape:
     sheets = sheets_of(recording, touched)
     kept = ~contradicted(sheets, touched)
     if not kept.any():
-        raise InputError("all contacts lie where other rods have passed; check the poses of the recording")
+        raise NoBodyError("all contacts lie where other rods have passed; check the poses of the recording")
     touched, cloud = touched.select(kept), cloud.select(kept)
     contours = outer_contours(sheets, touched)
     spacing = spacing_of(touched)

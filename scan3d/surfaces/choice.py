@@ -16,7 +16,7 @@ from scan3d.bounds.cells import has_cells
 from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import clipped, hull, offset_inwards
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
@@ -102,7 +102,7 @@ def _without_rod(cloud: Cloud, method: str, bounds: Enclosure | None) -> Any:
         return _labelled(fitted_body(cloud.fit), method, fattened.metadata["reason"])
     mesh = offset_inwards(fattened, cloud.rod_radius)
     if mesh is None:
-        raise InputError(
+        raise NoBodyError(
             f"the contacts of the rod's centre line span a body that is no thicker than the rod, "
             f"{length(2 * cloud.rod_radius, cloud.unit)}; check its diameter"
         )

@@ -30,7 +30,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from scan3d.arrays import Array, Index, Mask, ranges, ratio, unit_or_zero
 from scan3d.cloud import TOUCHED
-from scan3d.errors import InputError
+from scan3d.errors import NoBodyError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
 from scan3d.surfaces.creases import creased
@@ -119,7 +119,7 @@ def cut_surface(
     moved (n, 3)
         places of the surface that the contacts are those of, if rods are thick and lines are those of their axes.
 
-    Raises InputError for contacts that span no body.
+    Raises NoBodyError for contacts that span no body.
     """
     import trimesh
 
@@ -127,7 +127,7 @@ def cut_surface(
     thin = np.linalg.svd(points - middle, compute_uv=False)[-1] if len(points) > 3 else 0.0
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if thin < _JOGGLE * size * np.sqrt(len(points)):
-        raise InputError("the contacts lie in a plane, and span no body; touch it from more sides")
+        raise NoBodyError("the contacts lie in a plane, and span no body; touch it from more sides")
     random = np.random.default_rng(_SEED)
     joggled = points + random.uniform(-1, 1, points.shape) * _JOGGLE * _CLUSTERED * size
     spacing, wall = _spacing(joggled, inward, size)
@@ -186,7 +186,7 @@ def _spacing(points: Array, inward: Array, size: float) -> tuple[float, float]:
     chosen = kept_apart(points, _CLUSTERED * size)
     points, inward = points[chosen], inward[chosen]
     if len(points) < 4:
-        raise InputError("the contacts are all in a few places, and span no body; touch it in more places")
+        raise NoBodyError("the contacts are all in a few places, and span no body; touch it in more places")
     count = min(_NEIGHBOURS, len(points) - 1)
     distance, other = cKDTree(points).query(points, count + 1)
     distance, other = distance[:, 1:], other[:, 1:]
@@ -358,7 +358,7 @@ def _bounded(cells: _Cells, passed: Array, touched: Index, empty: Mask, spacing:
     sizes = np.bincount(part[body], volume[body], minlength=len(body) + 1)
     body &= sizes[part] >= _SPLINTER * sizes.sum()
     if not body.any():
-        raise InputError("the contacts span no body that the rods have left free; touch it more densely")
+        raise NoBodyError("the contacts span no body that the rods have left free; touch it more densely")
     # mending never adds what is free for certain
     price = volume + empty * volume.sum()
     for rounds in range(len(body)):

@@ -58,7 +58,7 @@ from scan3d.bounds.cells import cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
+from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import ROUNDED, cut_polytope, hull, plane_faces, vertices_of
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
@@ -355,7 +355,7 @@ def curved(cloud: Cloud) -> Any:
     try:
         qhull = ConvexHull(points)
     except QhullError:
-        raise InputError("the contacts span no body") from None
+        raise NoBodyError("the contacts span no body") from None
     faces = qhull.simplices
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     order = np.lexsort(sides.T)  # each edge is a side of two facets
