@@ -36,6 +36,7 @@ from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, rea
 from scan3d.files.points import Points, read_points
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import (
+    COVARIANCE,
     NORMAL,
     POINT,
     Shape,
@@ -149,6 +150,7 @@ def touches(
     *,
     place_sd: Any = None,
     normal_sd: Any = None,
+    covariance: Any = None,
     unit: Unit | None = None,
     table: float | None = None,
 ) -> Cloud:
@@ -156,12 +158,15 @@ def touches(
 
     points
         places (n, 3) on the body's surface, or the path of a file of them: ``.csv``, ``.ply``, ``.pcd``, ``.xyz`` with the
-        columns x, y, z, and where they are known nx, ny, nz, place_sd and normal_sd.
+        columns x, y, z, and where they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.
     normals (n, 3)
         outwards, of any length; NaN where unknown.  Where all point inwards, they are turned.  A file's own come first.
     place_sd, normal_sd
         standard deviations (n,), or one of all: of each coordinate of a place, and of a normal's direction in each of the two
-        directions across it, in radians.  None: the touches are exact up to their digits.  A file's own come first.
+        directions across it, in radians; a normal without one, NaN, is not used.  None: the touches are exact up to their
+        digits.  A file's own come first.
+    covariance (n, 3, 3)
+        of each place, in the place of `place_sd`.
     unit
         of the places; that which a file states, or mm.
     table
@@ -182,7 +187,17 @@ def touches(
         stated, points, found = read.unit or unit, read.stacked(POINT), read.stacked(NORMAL)
         normals = normals if found is None else found
         place_sd, normal_sd = read.columns.get("place_sd", place_sd), read.columns.get("normal_sd", normal_sd)
-    return cloud_of_touches(points, normals, place_sd=place_sd, normal_sd=normal_sd, unit=stated or "mm", table=table)
+        if (rows := read.stacked(COVARIANCE)) is not None:
+            covariance = rows[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    return cloud_of_touches(
+        points,
+        normals,
+        place_sd=place_sd,
+        normal_sd=normal_sd,
+        covariance=covariance,
+        unit=stated or "mm",
+        table=table,
+    )
 
 
 _Thing: TypeAlias = "Cloud | Shape | trimesh.Trimesh"

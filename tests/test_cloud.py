@@ -67,6 +67,7 @@ def test_the_file_of_a_noisy_cloud_has_the_uncertainty_of_each_contact(tmp_path)
     path.write_bytes(ply(cloud_table(noisy)))
     vertices, _, _ = read_ply(path)
     np.testing.assert_allclose(vertices["place_sd"], noisy.place_sd, rtol=1e-6)
+    np.testing.assert_allclose(scan3d.touches(path).covariance, noisy.covariance, rtol=1e-6, atol=1e-7 * noisy.noise**2)
     tip = noisy.phase == planar.Phase.TIP
     assert np.isnan(vertices["normal_sd"][tip]).all()
     np.testing.assert_allclose(vertices["normal_sd"][~tip], noisy.normal_sd[~tip], rtol=1e-6)

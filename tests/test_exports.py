@@ -19,6 +19,7 @@ from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.shapes import (
     CLOUD_ENDINGS,
+    LENGTHS,
     SURFACE_ENDINGS,
     Shape,
     export,
@@ -213,7 +214,7 @@ def test_lengths_are_converted_and_nothing_else(gaps, tmp_path, what, unit, fact
     assert after.unit == unit
     assert after.points == pytest.approx(factor * before.points, rel=1e-15)
     for name, column in before.columns.items():
-        scale = factor if name in ("quality", "bound") else 1.0
+        scale = factor ** LENGTHS.get(name, 0)
         assert np.allclose(after.columns[name], scale * column, rtol=1e-6, atol=0, equal_nan=True)
     assert np.array_equal(after.normals, before.normals, equal_nan=True)
 

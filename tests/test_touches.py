@@ -8,6 +8,7 @@ import scan3d
 from scan3d.bounds import certificate, enclosure
 from scan3d.bounds.planes import outer_body, planes_of_touches
 from scan3d.files.points import read_points
+from scan3d.files.shapes import export
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.touches import contradictions
 from tests.robustness.everyday import EVERYDAY, mesh_of
@@ -141,14 +142,21 @@ def test_exported_contacts_are_read_as_touches(ending, tmp_path):
     """As the program writes them, in every format of clouds, single precision within its rounding."""
     mesh = random_body(5)
     points, normals = touched(mesh, 100, 1)
-    cloud = scan3d.touches(points, normals, place_sd=0.1, normal_sd=0.02, unit="cm")
+    factor = np.random.default_rng(1).normal(size=(100, 3, 3))
+    covariance = factor @ factor.swapaxes(1, 2)
+    cloud = scan3d.touches(points, normals, covariance=covariance, normal_sd=0.02, unit="cm")
     path = tmp_path / f"cloud{ending}"
     scan3d.save(cloud, path)
     again = scan3d.touches(path, unit="cm")
     assert again.points == pytest.approx(points, rel=1e-6, abs=1e-5)
     assert again.normals == pytest.approx(normals, abs=1e-6)
     if ending != ".xyzn":
-        assert again.place_sd == pytest.approx(np.full(100, 0.1))
+        largest = np.linalg.norm(factor, ord=2, axis=(1, 2))
+        assert again.place_sd == pytest.approx(largest, rel=1e-5)
+        assert again.covariance == pytest.approx(covariance, abs=1e-5)
+        scan3d.save(cloud, tmp_path / "a.ply")
+        export(tmp_path / "a.ply", tmp_path / f"m{ending}", unit="m")
+        assert scan3d.touches(tmp_path / f"m{ending}").covariance == pytest.approx(1e-4 * covariance, abs=1e-9)
         assert again.normal_sd == pytest.approx(np.full(100, 0.02))
         with pytest.raises(scan3d.InputError, match="is in cm"):
             scan3d.touches(path, unit="mm")
@@ -210,6 +218,8 @@ def test_files_that_are_no_touches(name, text, message, tmp_path):
         ({"points": np.eye(4)[:, :3], "normals": np.zeros((3, 3))}, "normals must have the shape"),
         ({"points": np.eye(4)[:, :3], "place_sd": -1.0}, "place_sd must be finite"),
         ({"points": np.eye(4)[:, :3], "normal_sd": np.ones(3)}, "normal_sd must be one number"),
+        ({"points": np.eye(4)[:, :3], "covariance": np.eye(3)}, "covariance must be finite, of the shape"),
+        ({"points": np.eye(4)[:, :3], "covariance": np.full((4, 3, 3), np.nan)}, "covariance must be finite"),
         ({"points": np.eye(4)[:, :3], "unit": "foot"}, "unit must be one of"),
     ],
 )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.choices import one_of
 from scan3d.errors import InputError
-from scan3d.files.shapes import NORMAL, POINT, read_ply
+from scan3d.files.shapes import COVARIANCE, NORMAL, POINT, read_ply
 from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import check_readable
 from scan3d.units import FACTORS, UNITS_M, stated_unit, without_unit
@@ -29,7 +29,7 @@ _NAMES = {
     **{f"normal{axis}": f"n{axis}" for axis in "xyz"},
     **dict.fromkeys(("sd", "sigma", "std", "stddev"), "place_sd"),
 }
-_WANTED = (*POINT, *NORMAL, "place_sd", "normal_sd")
+_WANTED = (*POINT, *NORMAL, "place_sd", "normal_sd", *COVARIANCE)
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 
 
@@ -38,7 +38,7 @@ class Points(NamedTuple):
 
     name: str
     columns: dict[str, Array]
-    """Places ``x, y, z`` (n,), and of ``nx, ny, nz, place_sd, normal_sd`` those that the file has."""
+    """Places ``x, y, z`` (n,), and of ``nx, ny, nz, place_sd, normal_sd`` and ``cov_xx`` to ``cov_zz`` those in the file."""
     unit: str | None
     """Of places and their deviations; None where the file does not state it."""
     left_out: int
@@ -106,6 +106,7 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
 
 def _known(title: str) -> tuple[str, tuple[str, str] | None] | None:
     """The name of a column, and its quantity and unit if these are stated; None for one that says nothing of touches."""
+    title = re.sub(r"(cov_.*)2$", r"\1", title)  # the square of a unit
     name = without_unit(title).strip().lower()
     name = _NAMES.get(name, name)
     return (name, stated_unit(title)) if name in _WANTED else None

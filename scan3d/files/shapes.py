@@ -196,8 +196,10 @@ def of_strips(corners: Index) -> Index:
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
-LENGTHS = ("quality", "bound", "place_sd")
-"""Scalars that are lengths, in the unit of the file."""
+COVARIANCE = tuple(f"cov_{pair}" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+"""The upper triangle of the covariance of a contact's place."""
+LENGTHS = dict.fromkeys(("quality", "bound", "place_sd"), 1) | dict.fromkeys(COVARIANCE, 2)
+"""The power of the file's unit of length in the scalars that have one."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -265,10 +267,10 @@ def table(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     """Contacts as a structured array for `ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
 
-    Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have two further
-    columns, the standard deviations of their places and of their normals' angles.  Contacts of the spatial model lie in no
-    slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods that probe.  Touches of other
-    probes have neither sweep, force nor friction.
+    Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have the standard
+    deviations of their places and of their normals' angles as well, and the covariances of their places in the world.  Contacts
+    of the spatial model lie in no slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods
+    that probe.  Touches of other probes have neither sweep, force nor friction.
     """
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
@@ -285,6 +287,8 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     if cloud.place_sd is not None and cloud.normal_sd is not None:
         columns["place_sd"] = cloud.place_sd.astype(np.float32)
         columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
+    if cloud.covariance is not None:
+        columns |= dict(zip(COVARIANCE, cloud.covariance[:, *np.triu_indices(3)].astype(np.float32).T, strict=True))
     if cloud.recovered is not None:
         columns["recovered"] = cloud.recovered.astype(np.uint8)
     if cloud.model == "touches":
@@ -342,15 +346,20 @@ def read_shape(path: str | Path) -> Shape:
 # --- as other programs want them ---
 
 
+def scale_lengths(rows: NDArray[Any], factor: float) -> None:
+    """Multiply the lengths of structured rows (n,), and what is in powers of their unit, in place."""
+    for name, power in (dict.fromkeys(POINT, 1) | LENGTHS).items():
+        if name in (rows.dtype.names or ()):
+            rows[name] = factor**power * rows[name]
+
+
 def in_unit(shape: Shape, unit: str | None) -> Shape:
     """The shape with all lengths in another unit; None keeps them.  Raises InputError for an unknown unit."""
     if unit is None or unit == shape.unit:
         return shape
     check_unit(unit)
     rows = shape.rows.copy()
-    for name in POINT + LENGTHS:
-        if name in (rows.dtype.names or ()):
-            rows[name] = rows[name] * (UNITS_M[shape.unit] / UNITS_M[unit])
+    scale_lengths(rows, UNITS_M[shape.unit] / UNITS_M[unit])
     return replace(shape, rows=rows, unit=unit)
 
 
@@ -569,7 +578,8 @@ def _pcd(shape: Shape) -> bytes:
 
 def _csv(shape: Shape) -> bytes:
     names = shape.rows.dtype.names or ()
-    units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | {"force": "_N"}
+    units = dict.fromkeys(POINT, f"_{shape.unit}") | {"force": "_N"}
+    units |= {name: f"_{shape.unit}{power if power > 1 else ''}" for name, power in LENGTHS.items()}
     header = ",".join(name + units.get(name, "") for name in names)
     return f"{header}\n".encode() + rows_as_text(_columns(shape, names), ",")
 
@@ -667,7 +677,7 @@ def glb(shape: Shape) -> bytes:
     for name, values in shape.columns.items():
         column = values.astype("<f4")  # glTF has neither NaN nor infinity
         if np.isfinite(column).all():
-            attributes[f"_{name.upper()}"] = buffers.add(column * np.float32(scale if name in LENGTHS else 1.0))
+            attributes[f"_{name.upper()}"] = buffers.add(column * np.float32(scale ** LENGTHS.get(name, 0)))
     primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": 0}  # points
     if shape.faces is not None:
         primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": _TRIANGLES}

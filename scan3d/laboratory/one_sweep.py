@@ -349,6 +349,7 @@ def contacts_csv(found: SweepContacts) -> bytes:
         columns |= {
             f"sd_x{unit}": length * found.point_sd[:, 0],
             f"sd_y{unit}": length * found.point_sd[:, 1],
+            f"cov_xy{unit and '_m2'}": length**2 * found.errors.point[:, 0, 1],
             f"sd_s1{unit}": length * found.errors.s1,
             "sd_friction_angle": found.errors.friction_angle,
             "sd_friction": found.friction_sd,

@@ -16,7 +16,7 @@ from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.files.shapes import LENGTHS, POINT, cloud_table
+from scan3d.files.shapes import cloud_table, scale_lengths
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.recording import Recording
@@ -80,9 +80,7 @@ class Scene:
         factor = UNITS_M[self.unit] / UNITS_M[unit]
         contacts = self.contacts
         if contacts is not None:
-            contacts = contacts.copy()
-            for name in set(POINT + LENGTHS) & set(contacts.dtype.names or ()):
-                contacts[name] = factor * contacts[name]
+            scale_lengths(contacts := contacts.copy(), factor)
         return replace(
             self,
             unit=unit,

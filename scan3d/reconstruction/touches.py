@@ -39,6 +39,7 @@ def touches(
     *,
     place_sd: Array | float | None = None,
     normal_sd: Array | float | None = None,
+    covariance: Array | None = None,
     unit: str = "mm",
     table: float | None = None,
 ) -> Cloud:
@@ -50,7 +51,10 @@ def touches(
         outwards, of any length; NaN where unknown.  Where all point inwards, they are turned.
     place_sd, normal_sd
         standard deviations (n,), or one of all: of each coordinate of a place, and of a normal's direction in each of the two
-        directions across it, in radians.  None: the touches are exact up to their digits.
+        directions across it, in radians; a normal without one, NaN, is not used.  None: the touches are exact up to their
+        digits.
+    covariance (n, 3, 3)
+        of each place, where it is known, in the place of `place_sd`.
     table
         height z of the table, below which nothing of the body lies.
 
@@ -62,7 +66,15 @@ def touches(
     if not np.isfinite(points).all():
         raise InputError(f"{int((~np.isfinite(points)).any(axis=1).sum())} points are not finite; leave them out")
     count, size = len(points), float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    place, turn = _deviation(place_sd, count, "place_sd"), _deviation(normal_sd, count, "normal_sd")
+    if covariance is not None:
+        covariance = np.array(covariance, dtype=np.float64)
+        if covariance.shape != (count, 3, 3) or not np.isfinite(covariance).all():
+            raise InputError(f"covariance must be finite, of the shape ({count}, 3, 3), got {covariance.shape}")
+        place_sd = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+    known_sd = None if normal_sd is None else np.where(np.isnan(normal_sd), 0.0, normal_sd)
+    place, turn = _deviation(place_sd, count, "place_sd"), _deviation(known_sd, count, "normal_sd")
+    if covariance is None and place is not None:
+        covariance = place[:, None, None] ** 2 * np.eye(3)
     hull(points)  # raises InputError, which says why
     outward, coarse = np.full((count, 3), np.nan), 0.0
     if normals is not None:
@@ -70,6 +82,8 @@ def touches(
         coarse = rounding_sd(outward[np.isfinite(outward)])
         long = np.linalg.norm(outward, axis=1, keepdims=True)
         outward = oriented(points, np.where(long > 0, outward / np.where(long > 0, long, 1.0), np.nan))
+        if normal_sd is not None:
+            outward[np.broadcast_to(np.isnan(normal_sd), count)] = np.nan
     known = np.isfinite(outward).all(axis=1)
     noise, has_noise = np.zeros(count) if place is None else place, place is not None or turn is not None
     cloud = Cloud(
@@ -88,7 +102,7 @@ def touches(
         unit=unit,
         rod_length=size,
         noise=float(np.median(noise)),
-        covariance=noise[:, None, None] ** 2 * np.eye(3) if has_noise else None,
+        covariance=np.zeros((count, 3, 3)) if covariance is None and has_noise else covariance,
         place_sd=noise if has_noise else None,
         normal_sd=None if not has_noise else np.zeros(count) if turn is None else turn,
         pose_error=LARGEST_OVER_SD * rounding_sd(points.ravel()),
