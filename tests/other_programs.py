@@ -4,6 +4,7 @@
 cannot be loaded into the same process.
 """
 
+import re
 import subprocess
 import sys
 import tempfile
@@ -30,8 +31,8 @@ def example(folder):
     ball = trimesh.creation.icosphere(subdivisions=2)
     turn = trimesh.transformations.rotation_matrix(0.5, [1, 2, 3])[:3, :3]
     scalars = [("quality", "f8"), ("phase", "u1"), ("slice", "i4"), ("sweep", "i4"), ("row", "i4")]
-    scalars += [("force", "f8"), ("friction", "f4"), ("normal_source", "u1")]
-    for name, columns in (("cloud", scalars), ("surface", [("bound", "f4")])):
+    scalars += [("force", "f8"), ("friction", "f4"), ("normal_source", "u1"), ("cov_xy", "f4")]
+    for name, columns in (("cloud", scalars), ("surface", [("bound", "f4"), ("known", "u1")])):
         spatial = [(c, "f8") for c in "xyz"] + [(f"n{c}", "f4") for c in "xyz"]
         rows = np.zeros(len(ball.vertices), [*spatial, *columns])
         for k, c in enumerate("xyz"):
@@ -52,7 +53,7 @@ def _numpy(file, _):
         rows = np.genfromtxt(file, delimiter=",", names=True)
         names = rows.dtype.names
         table = np.stack([rows[name] for name in names], axis=1)
-        scalars = {name.removesuffix("_mm").removesuffix("_N"): rows[name] for name in names[6:]}
+        scalars = {re.sub("_(mm2?|N)$", "", name): rows[name] for name in names[6:]}
     else:
         table, scalars = np.loadtxt(file), {}
     return table[:, :3], table[:, 3:6] if table.shape[1] > 3 else None, None, scalars
@@ -179,7 +180,7 @@ def cell(what, right):
         return "–"
     spatial = [name for name in right if name in ("points", "normals", "faces")]
     scalars = [name for name in right if name not in spatial]
-    everything = {"cloud": 8, "surface": 1}[what]
+    everything = {"cloud": 9, "surface": 2}[what]
     return ", ".join(spatial + (["all scalars"] if len(scalars) == everything else [f"`{name}`" for name in scalars]))
 
 

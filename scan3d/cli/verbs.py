@@ -314,7 +314,8 @@ def surface(
     """The surface of a body from touches of another probe, with a certificate if the body is convex.
 
     The columns are x, y, z, and where they are known the outward normals nx, ny, nz and the standard deviations
-    place_sd and normal_sd (in radians), or cov_xx to cov_zz. Touches with normals bound a convex body; with deviations with 95 % confidence.
+    place_sd and normal_sd (in radians), or cov_xx to cov_zz. Touches with normals bound a convex body; with deviations
+    with 95 % confidence.
 
     For example:
       scan3d surface touches.csv --out out
