@@ -4,7 +4,7 @@ Every script there is imported and drawn.  The statements of the paper have test
 transitions that a script prints are checked against reference values, derived twice and integrated numerically.
 """
 
-import importlib
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -95,6 +95,18 @@ def test_live_contacts(capsys: pytest.CaptureFixture[str]) -> None:
     *lines, last = capsys.readouterr().out.splitlines()
     assert last == f"{len(live.cloud)} contacts in {len(live.recording)} rows"
     assert len(lines) >= len(live.cloud) > 100
+
+
+def test_mujoco_log() -> None:
+    script = example("mujoco_log")
+    if importlib.util.find_spec("mujoco") is None:
+        with pytest.raises(SystemExit, match="pip install mujoco"):
+            script.main([])
+        return
+    points = script.main([]).points[:, :2] / 1e3
+    off = np.hypot(*(points - script.CENTRE_M).T) - script.RADIUS_M
+    # two parts in a thousand of the rod: its links, its damping and the depth to which MuJoCo's bodies sink in
+    assert np.abs(off).max() < 2e-3 * script.ROD.length_m
 
 
 @pytest.mark.slow
