@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from scan3d.arrays import Array
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
@@ -28,7 +29,7 @@ from scan3d.errors import InputError, NoBodyError
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
-from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
+from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing, sha256
 from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.pictures import canvas, page
@@ -108,7 +109,7 @@ def scan(
 
 
 def reconstruct(
-    read: Callable[[], tuple[Recording, Any]],
+    read: Callable[[], tuple[Recording | Cloud, Any]],
     out: str | Path,
     *,
     settings: Mapping[str, Any],
@@ -117,17 +118,17 @@ def reconstruct(
     overwrite: bool = False,
     notify: Notify = lambda _: None,
 ) -> tuple[Analysis, dict[str, Any]]:
-    """Analyse a recording, and write the results into the folder `out`: the analysis and its report.
+    """Analyse a recording or touches of another probe, and write the results into the folder `out`: analysis and report.
 
     read
-        gives the recording and the true body, or None.
+        gives the recording, or the cloud of touches, whose file is the input ``touches``, and the true body, or None.
     settings
         those of the run, with the ``method`` of the surface, which the report repeats.
 
     Raises InputError as `read`, `analyse` and `files.whole.replacing`.
     """
 
-    def record(clock: Clock) -> tuple[Recording, Any]:
+    def record(clock: Clock) -> tuple[Recording | Cloud, Any]:
         with clock("load"):
             return read()
 
@@ -135,29 +136,8 @@ def reconstruct(
         return _performed(record, result, settings, settings["method"], model, notify)
 
 
-def touched(
-    read: Callable[[], tuple[Cloud, Any, Mapping[str, Any]]],
-    out: str | Path,
-    *,
-    settings: Mapping[str, Any],
-    inputs: Inputs | None = None,
-    overwrite: bool = False,
-    notify: Notify = lambda _: None,
-) -> tuple[Analysis, dict[str, Any]]:
-    """As `reconstruct`, of touches of another probe: `read` gives them, the true body or None, and where they come from."""
-    clock = Clock()
-    with replacing(out, inputs=inputs, overwrite=overwrite) as result, Drawing() as drawing:
-        with clock("load"):
-            cloud, truth, source = read()
-
-        scenes: list[Scene] = []
-        draw = partial(_begin, drawing, truth, scenes)
-        analysis = analyse_touches(cloud, truth, settings["method"], source=source, clock=clock, made=draw)
-        return analysis, _put(analysis, result, {}, settings, clock, drawing, scenes[0], notify)
-
-
 def _performed(
-    record: Callable[[Clock], tuple[Recording, Any]],
+    record: Callable[[Clock], tuple[Recording | Cloud, Any]],
     result: Replacement,
     settings: Mapping[str, Any],
     method: str,
@@ -167,16 +147,18 @@ def _performed(
     """Record, analyse and write; contacts and surface are drawn while the surface is compared."""
     clock = Clock()
     with Drawing() as drawing:
-        recording, truth = record(clock)
-        with clock("write"):
-            files = {} if result.reads_recording else recording_files(recording, RECORDING[0])
+        measured, truth = record(clock)
+        files, touches = {}, result.inputs.get("touches")
+        if isinstance(measured, Recording) and not result.reads_recording:
+            with clock("write"):
+                files = recording_files(measured, RECORDING[0])
+        source = {"file": Path(touches).name, "sha256": sha256(Path(touches))} if touches else {}
 
         scenes: list[Scene] = []
         draw = partial(_begin, drawing, truth, scenes)
         with result.kept(files) as how_to_go_on, said_if_ended(how_to_go_on):
-            analysis = analyse(
-                recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw
-            )
+            reach = settings.get("reach", 0.0)
+            analysis = analyse(measured, truth, method, model, reach=reach, source=source, clock=clock, made=draw)
             bodies = ("surface", "true body")
             sizes = None if truth is None or not analysis.has_surface else (analysis.surface.extents, truth.extents)
             if sizes and (remark := unit_remark(*sizes, bodies)):
@@ -193,17 +175,20 @@ def with_origin(recording: Recording, body: Any) -> Recording:
 
 
 def analyse(
-    recording: Recording,
+    measured: Recording | Cloud,
     truth: Any = None,
     method: str = "auto",
     model: str | None = None,
     *,
     reach: float = 0.0,
+    source: Mapping[str, Any] | None = None,
     clock: Clock | None = None,
     made: Callable[[Analysis], None] = lambda _: None,
 ) -> Analysis:
-    """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
+    """Contacts, bounds, surface and certificate, and the comparison with the truth if that is given.
 
+    measured
+        a recording, or the cloud of touches of another probe.
     truth
         the true body, a convex `trimesh.Trimesh`; only the results that compare with it depend on it.
     method
@@ -213,6 +198,8 @@ def analyse(
     reach
         radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known, so that a bead alone
         bounds such a body.
+    source
+        where touches of another probe come from.
     made
         is called with the analysis as soon as surface and certificate are known.
 
@@ -221,38 +208,34 @@ def analyse(
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
     """
     clock = clock or Clock()
-    with clock("reconstruct"):
-        try:
-            cloud = reconstruct_contacts(recording, model=model)
-        except NoContactError as error:
-            raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
-    with clock("check"):
-        warnings, diagnosis = checked(recording, cloud)
+    warnings: Sequence[Contradiction]
+    recording, diagnosis = None, None
+    if isinstance(measured, Cloud):
+        with clock("check"):
+            warnings, cloud = (
+                contradictions(measured),
+                measured if measured.convex else with_estimated_normals(measured),
+            )
+    else:
+        recording = measured
+        with clock("reconstruct"):
+            try:
+                cloud = reconstruct_contacts(recording, model=model)
+            except NoContactError as error:
+                raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
+        with clock("check"):
+            warnings, diagnosis = checked(recording, cloud)
     try:
         bounded = _bounded(cloud, recording, warnings, method, reach, clock)
     except NoBodyError as error:
         bounded = _without_body(cloud, recording, warnings, str(error))
+    of_touches = {"kind": "touches", **(source or {})}
+    bounded = replace(bounded, diagnosis=diagnosis, source=recording.source if recording else of_touches)
     made(bounded)
-    return _finished(replace(bounded, diagnosis=diagnosis), truth, clock)
-
-
-def analyse_touches(
-    cloud: Cloud,
-    truth: Any = None,
-    method: str = "auto",
-    *,
-    source: Mapping[str, Any] | None = None,
-    clock: Clock | None = None,
-    made: Callable[[Analysis], None] = lambda _: None,
-) -> Analysis:
-    """As `analyse`, of touches of another probe, which `source` says where they come from."""
-    clock = clock or Clock()
-    with clock("check"):
-        warnings = contradictions(cloud)
-        cloud = cloud if cloud.convex else with_estimated_normals(cloud)
-    bounded = _bounded(cloud, None, warnings, method, 0.0, clock)
-    made(bounded)
-    return _finished(replace(bounded, source={"kind": "touches", **(source or {})}), truth, clock)
+    if truth is not None:
+        with clock("compare"):
+            bounded = _compared(bounded, truth)
+    return replace(bounded, seconds=dict(clock.seconds))
 
 
 def _bounded(
@@ -296,20 +279,8 @@ def _without_body(
     cloud: Cloud, recording: Recording | None, warnings: Sequence[Contradiction], reason: str
 ) -> Analysis:
     """The analysis of contacts that span no body, with the reason in the place of a surface."""
-    import trimesh
-
-    nothing = trimesh.Trimesh(metadata={"method": None, "reason": reason})
-    nothing.units = cloud.unit
-    bounds = unbounded(cloud)
+    nothing, bounds = trimesh.Trimesh(metadata={"method": None, "reason": reason}), unbounded(cloud)
     return Analysis(recording, cloud, bounds, nothing, certificate(bounds, nothing), warnings=tuple(warnings))
-
-
-def _finished(analysis: Analysis, truth: Any, clock: Clock) -> Analysis:
-    """The analysis, compared with the truth if that is given, and the time that all took."""
-    if truth is not None:
-        with clock("compare"):
-            analysis = _compared(analysis, truth)
-    return replace(analysis, seconds=dict(clock.seconds))
 
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
@@ -411,7 +382,7 @@ def _shown(local: Array) -> Any:
 
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
     """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
-    named, truth = analysis.origin.get("mesh") or analysis.origin.get("file"), analysis.truth
+    named, truth = analysis.source.get("mesh") or analysis.source.get("file"), analysis.truth
     named = named if truth is None else truth.metadata.get("file")
     local = analysis.certificate.at_vertices
     return of_cloud(

@@ -67,7 +67,7 @@ class Analysis:
     diagnosis: Diagnosis | None = None
     """The likeliest fault of a recording that contradicts the model, or whose sweeps differ by what the bounds allow for."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """Where touches of another probe come from."""
+    """Where the contacts come from: that of the recording, or of touches."""
 
     def __repr__(self) -> str:
         return f"Analysis of {len(self.cloud)} contacts: {len(self.surface.faces)} faces"
@@ -82,11 +82,6 @@ class Analysis:
         if not self.has_surface:
             raise NoBodyError(self.surface.metadata["reason"])
         return self.surface
-
-    @property
-    def origin(self) -> Mapping[str, Any]:
-        """Where the contacts come from: the source of the recording, or of touches."""
-        return self.source if self.recording is None else self.recording.source
 
 
 def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -105,7 +100,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
             "parts": int(surface.body_count) if analysis.has_surface else None,
         },
         "settings": dict(settings),
-        "source": dict(analysis.origin),
+        "source": dict(analysis.source),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "rod": None
         if recording is None
@@ -210,7 +205,7 @@ def _second(analysis: Analysis) -> dict[str, int | None]:
         # farther off than this an exact contact has another cause than rounding
         allowed = 1e-8 * cloud.rod_length + LARGEST_OVER_SD * noise
         hidden = int((analysis.contact_error > allowed).sum())
-    unresolved = analysis.origin.get("unresolved")
+    unresolved = analysis.source.get("unresolved")
     return {"second_contacts": cloud.second, "hidden_second_contacts": hidden, "unresolved": unresolved}
 
 

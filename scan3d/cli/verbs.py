@@ -346,22 +346,20 @@ def surface(
     from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
     from scan3d.files.points import read_points
-    from scan3d.files.whole import sha256
     from scan3d.results import touches
     from scan3d.surfaces.open3d_methods import check_method
 
     check_method(method)
     out = out or _beside(points)
 
-    def read() -> tuple[Any, Any, dict[str, Any]]:
+    def read() -> tuple[Any, Any]:
         file = read_points(points)
         if file.left_out:
             output.progress.say(f"{file.left_out} rows of {points.name} have no place, and are left out")
         cloud = touches(file, place_sd=place_sd, normal_sd=normal_sd, unit=unit, table=table)
-        body = None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
-        return cloud, body, {"file": points.name, "sha256": sha256(points)}
+        return cloud, None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
 
-    _, data = pipeline.touched(
+    _, data = pipeline.reconstruct(
         read,
         out,
         settings={"method": method, "place_sd": place_sd, "normal_sd": normal_sd, "table": table},

@@ -96,7 +96,7 @@ class Replacement:
         kept after an InputError, which would be raised again.
         """
         is_free = not any((self.folder / name).exists() for name in self.kind) or is_unfinished(self.folder)
-        if "recording" in self.inputs or not is_free:
+        if not files or "recording" in self.inputs or not is_free:
             yield ""
             return
         for name, data in files.items():
