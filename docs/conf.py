@@ -41,13 +41,15 @@ html_title = "scan3d"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
 html_copy_source = False
+templates_path = ["_templates"]
+# the four groups of pages at the left, and nothing of them in the header
+html_sidebars = {"**": ["groups.html"]}
 html_theme_options = {
-    "header_links_before_dropdown": 8,
+    "navbar_center": [],
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": [],
     "footer_end": [],
 }
-html_sidebars = {"**": []}
 html_math_renderer = "drawn"
 
 # Size of the font of the drawn equations in points, and the number of these points in one em of the text: with it letters in
