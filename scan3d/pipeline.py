@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from scan3d.arrays import Array
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
 from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
@@ -160,8 +159,8 @@ def _performed(
             reach = settings.get("reach", 0.0)
             analysis = analyse(measured, truth, method, model, reach=reach, source=source, clock=clock, made=draw)
             bodies = ("surface", "true body")
-            sizes = None if truth is None or not analysis.has_surface else (analysis.surface.extents, truth.extents)
-            if sizes and (remark := unit_remark(*sizes, bodies)):
+            size = analysis.surface.extents  # None without a surface
+            if truth is not None and size is not None and (remark := unit_remark(size, truth.extents, bodies)):
                 notify(remark)
             return analysis, _put(analysis, result, files, settings, clock, drawing, scenes[0], notify)
 
@@ -212,10 +211,8 @@ def analyse(
     recording, diagnosis = None, None
     if isinstance(measured, Cloud):
         with clock("check"):
-            warnings, cloud = (
-                contradictions(measured),
-                measured if measured.convex else with_estimated_normals(measured),
-            )
+            warnings = contradictions(measured)
+            cloud = measured if measured.convex else with_estimated_normals(measured)
     else:
         recording = measured
         with clock("reconstruct"):
@@ -327,23 +324,17 @@ def _put(
     with clock("write"):
         for name, contents in files.items():
             result.put(name, contents)
-        _put_tables(analysis, result)
+        comments = (f"unit {analysis.cloud.unit}",)
+        result.put("cloud.ply", ply(cloud_table(analysis.cloud, analysis.contact_error), comments=comments))
+        bodies = {"outer": analysis.reach.outer, "inner": analysis.reach.inner} if analysis.reach else {}
+        for name, body in ({"surface": analysis.surface} | bodies).items():
+            if len(body.faces):
+                result.put(f"{name}.ply", ply(surface_table(body), body.faces, comments=comments))
     with clock("pictures"):
         data = report(analysis, settings=settings)
         scene = replace(to_scene(analysis, key_figures(data)), shown=drawn.shown)
         _put_pictures(scene, result, drawing, notify)
     return result.commit(data | {"timings_s": rounded(clock.seconds)})
-
-
-def _put_tables(analysis: Analysis, result: Replacement) -> None:
-    cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
-    result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
-    if analysis.has_surface:
-        vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
-        result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
-    for name, body in (("outer", analysis.reach.outer), ("inner", analysis.reach.inner)) if analysis.reach else ():
-        if len(body.faces):
-            result.put(f"{name}.ply", ply(surface_table(body, None), body.faces, comments=comments))
 
 
 def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: Notify) -> None:
@@ -375,11 +366,6 @@ def _begin(drawing: Drawing, truth: Any, scenes: list[Scene], analysis: Analysis
     drawing.begin(scenes[0], [(".png", {"view": name}) for name in _views(scene)])
 
 
-def _shown(local: Array) -> Any:
-    """The bounds at a surface's vertices (n,) in single precision, as they are shown; None if none is finite."""
-    return local.astype(np.float32) if np.isfinite(local).any() else None
-
-
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
     """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
     named, truth = analysis.source.get("mesh") or analysis.source.get("file"), analysis.truth
@@ -390,7 +376,7 @@ def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> S
         analysis.contact_error,
         name=Path(str(named)).stem if named else "body",
         surface=analysis.surface if analysis.has_surface else None,
-        bound=_shown(local),
+        bound=local.astype(np.float32) if np.isfinite(local).any() else None,
         truth=truth,
         recording=analysis.recording,
         key_figures=figures,

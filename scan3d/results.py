@@ -299,8 +299,7 @@ def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
     if unit is None and stated is not None and stated not in UNITS_M:
         raise InputError(f"the surface is in {stated!r}; give its unit as one of {', '.join(UNITS_M)}")
     check_unit(unit)
-    rows = surface_table(mesh, mesh.vertex_attributes.get("bound"))
-    return Shape(rows, np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
+    return Shape(surface_table(mesh), np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
 
 
 def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:

@@ -146,7 +146,8 @@ def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
 def test_a_shape_is_not_written_where_float32_would_lose_it(tmp_path, ending):
     """Whatever its bound: normals are lost before places are."""
     ball = trimesh.creation.icosphere(3, radius=12)
-    rows = surface_table(ball, np.full(len(ball.vertices), 0.2))
+    ball.vertex_attributes["bound"] = np.full(len(ball.vertices), 0.2)
+    rows = surface_table(ball)
     rows["x"] += 801234.0
     shape = Shape(rows, None if ending in (".pcd", ".csv") else ball.faces.astype(np.int32), "mm")
     if ending in (".stl", ".glb", ".pcd"):
@@ -167,7 +168,7 @@ def test_what_the_program_would_not_read_it_does_not_write(tmp_path, name, far, 
         "ring": trimesh.creation.torus(12, 4, major_sections=24, minor_sections=12),
     }[name]
     body.apply_translation([far, -far / 3, 0])
-    shape = Shape(surface_table(body, None), body.faces.astype(np.int32), "mm")
+    shape = Shape(surface_table(body), body.faces.astype(np.int32), "mm")
     try:
         write_shape(shape, tmp_path / f"far{ending}")
     except InputError:
@@ -182,7 +183,7 @@ def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):
     # the bound of a body without empty slices; JSON has no infinity
     with_rows(surface, tmp_path / "surface.ply", bound=np.inf)
     export(tmp_path, tmp_path / "a.glb")
-    assert set(tree_of(tmp_path / "a.glb")[2]) == {"POSITION", "NORMAL"}
+    assert set(tree_of(tmp_path / "a.glb")[2]) == {"POSITION", "NORMAL", "_KNOWN"}
 
 
 def tree_of(path):
@@ -326,8 +327,8 @@ def ring(tmp_path_factory):
     place, body = tmp_path_factory.mktemp("ring"), trimesh.creation.torus(12, 4, major_sections=96, minor_sections=48)
     body.apply_translation([0, 0, 4])
     body.vertex_attributes["known"] = np.arange(len(body.vertices)) % 3
-    bound = np.linspace(0.1, 0.2, len(body.vertices))
-    (place / "surface.ply").write_bytes(ply(surface_table(body, bound), body.faces, ("unit mm",)))
+    body.vertex_attributes["bound"] = np.linspace(0.1, 0.2, len(body.vertices))
+    (place / "surface.ply").write_bytes(ply(surface_table(body), body.faces, ("unit mm",)))
     return place
 
 

@@ -40,8 +40,7 @@ def scanned(mesh, method, **plan):
 
 def written(surface, folder):
     path = folder / "surface.ply"
-    rows = surface_table(surface, np.zeros(len(surface.vertices)))
-    path.write_bytes(ply(rows, surface.faces, comments=("unit mm",)))
+    path.write_bytes(ply(surface_table(surface), surface.faces, comments=("unit mm",)))
     return path
 
 

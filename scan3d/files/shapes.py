@@ -304,16 +304,15 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     return table(columns)
 
 
-def surface_table(surface: Any, bound: Array | None) -> NDArray[np.void]:
-    """Vertices, their normals, the certified local bound (v,), unless it is None, and how well they are known, if the surface
-    says so, as a structured array for `ply`."""
+def surface_table(surface: Any) -> NDArray[np.void]:
+    """Vertices, their normals, and of the certified local bound and of how well they are known what the surface has, as a
+    structured array for `ply`."""
     columns: dict[str, NDArray[Any]] = dict(zip(POINT, np.asarray(surface.vertices, dtype=np.float64).T, strict=True))
     columns |= dict(zip(NORMAL, _vertex_normals(surface).astype(np.float32).T, strict=True))
-    if bound is not None:
-        columns["bound"] = np.asarray(bound).astype(np.float32)
-    if "known" in surface.vertex_attributes:
-        columns["known"] = np.asarray(surface.vertex_attributes["known"]).astype(np.uint8)
-    return table(columns)
+    known, kinds = surface.vertex_attributes, {"bound": np.float32, "known": np.uint8}
+    return table(
+        columns | {name: np.asarray(known[name]).astype(kind) for name, kind in kinds.items() if name in known}
+    )
 
 
 def _vertex_normals(surface: Any) -> Array:
