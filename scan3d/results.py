@@ -144,6 +144,11 @@ def calibrate(
     )
 
 
+@_described_by(
+    cloud_of_touches,
+    "The points may be given as the path of a ``.csv``, ``.ply``, ``.pcd`` or ``.xyz`` with the columns x, y, z, and where\n"
+    "    they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.  What the file states comes first, and its unit.",
+)
 def touches(
     points: Any,
     normals: Any = None,
@@ -154,28 +159,6 @@ def touches(
     unit: Unit | None = None,
     table: float | None = None,
 ) -> Cloud:
-    """The cloud of touches of any probe, such as a coordinate measuring machine or another tactile sensor.
-
-    points
-        places (n, 3) on the body's surface, or the path of a file of them: ``.csv``, ``.ply``, ``.pcd``, ``.xyz`` with the
-        columns x, y, z, and where they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.
-    normals (n, 3)
-        outwards, of any length; NaN where unknown.  Where all point inwards, they are turned.  A file's own come first.
-    place_sd, normal_sd
-        standard deviations (n,), or one of all: of each coordinate of a place, and of a normal's direction in each of the two
-        directions across it, in radians; a normal without one, NaN, is not used.  None: the touches are exact up to their
-        digits.  A file's own come first.
-    covariance (n, 3, 3)
-        of each place, in the place of `place_sd`.
-    unit
-        of the places; that which a file states, or mm.
-    table
-        height z of the table, below which nothing of the body lies.
-
-    `Cloud.convex` says whether the touches accord with a convex body.  Raises InputError for files that can't be read, arrays
-    of other shapes, numbers that are not finite, points that span no body, and normals of which some point inwards and some
-    outwards.
-    """
     check_unit(unit)
     stated: str | None = unit
     read = read_points(Path(points)) if isinstance(points, (str, os.PathLike)) else points
