@@ -464,10 +464,10 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
 def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     """The most important numbers of a report: what it comes to in a sentence, and the name and value of each quantity."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
+    where = "space" if data.get("model") == "spatial" else _count(counts["slices"], "slice")
     probings, rows = counts.get("probings", 0), _filled(data)
-    sweeps = f"{counts['sweeps'] - probings} sweeps in {where}" if counts["sweeps"] > probings else ""
-    sweeps = " and ".join(filter(None, [sweeps, f"{probings} probings" if probings else ""]))
+    sweeps = f"{_count(counts['sweeps'] - probings, 'sweep')} in {where}" if counts["sweeps"] > probings else ""
+    sweeps = " and ".join(filter(None, [sweeps, _count(probings, "probing") if probings else ""]))
     of_hull = f" from the {HULL_OF_MESH}" if rows else ""
     if data.get("model") == "touches":
         rows.append(("touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"))
@@ -570,6 +570,10 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     if certified.get("grown"):
         rows.append(("measured", certified["grown"]))
     return _in_a_sentence(data), rows
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _in_a_sentence(data: Mapping[str, Any]) -> str:
