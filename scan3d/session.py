@@ -272,12 +272,13 @@ def around_contacts(recording: Recording, model: str) -> rig.Envelope:
     Raises NoBodyError for contacts that span no body, and InputError for those below z = 0, where the table is.
     """
     cloud = reconstruct(recording, model=model)
-    hull(cloud.points)  # raises NoBodyError: one slice does not tell how large the body is
-    low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
+    points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
+    hull(points)  # raises NoBodyError: one slice does not tell how large the body is
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
     if low < -1e-6 * cloud.rod_length:
         raise InputError(
             f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that stands on z "
             "= 0 about the z axis; move the frame of the poses"
         )
-    radius = float(np.hypot(*cloud.points[:, :2].T).max())
+    radius = float(np.hypot(*points[:, :2].T).max())
     return rig.Envelope("cylinder", tuple(float(f"{1.1 * size:.4g}") for size in (2 * radius, high)))
