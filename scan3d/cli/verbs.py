@@ -431,7 +431,7 @@ def export(
     to
         the file to write; its ending determines the format
     what
-        which, for .ply, .vtp and .glb (default: surface, unless DIR is a file with a cloud)
+        which, for .ply, .vtp and .glb (default: the surface, if there is one)
     unit
         unit of the lengths in the file, such as m for ROS (default: the recording's)
     faces

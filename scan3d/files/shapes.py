@@ -392,7 +392,7 @@ def export(
 
     what
         'cloud' or 'surface' where the ending of `to`, which determines the format, allows either (.ply, .vtp, .glb); the
-        default is the surface, unless `source` is a cloud.
+        default is the surface, if there is one.
     unit
         of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB is in metres.
     changed
