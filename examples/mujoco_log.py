@@ -30,9 +30,8 @@ def model() -> str:
     """The clamp, whose frame is that of a recording, the chain along its y axis, and a cylinder across."""
     long, links = ROD.length_m / LINKS, ""
     stiffness = ROD.bending_stiffness_Nm2 / long
-    for k in reversed(
-        range(LINKS)
-    ):  # joints lie in the middles of segments: the first link is half as long, as is the last
+    # joints lie in the middles of segments: the first link is half as long, as is the last
+    for k in reversed(range(LINKS)):
         start, end = (long / 2 if k == 0 else long), (long / 2 if k == LINKS - 1 else long)
         links = f"""<body pos="0 {start} 0"><joint axis="0 0 1" stiffness="{stiffness}" damping="{DAMPING_S * stiffness}"/>
             <geom type="capsule" fromto="0 0 0 0 {end} 0" size="{ROD.diameter_m / 2}" mass="1e-4"/>{links}</body>"""
@@ -85,9 +84,8 @@ def main(argv: Sequence[str] | None = None) -> scan3d.Cloud:
         cloud.save(out / "contacts.csv")
     off = 1e3 * np.abs(np.hypot(*(cloud.points[:, :2] / 1e3 - CENTRE_M).T) - RADIUS_M)
     tangential = cloud.phase == planar.Phase.TANGENTIAL
-    print(
-        f"{len(cloud)} contacts of {len(log)} rows, {np.median(off):.3f} mm off the cylinder (median; {off.max():.3f} at most)"
-    )
+    print(f"{len(cloud)} contacts of {len(log)} rows")
+    print(f"{np.median(off):.3f} mm off the cylinder in the median, {off.max():.3f} mm at most")
     print(f"friction {np.median(cloud.friction[tangential]):.4f} in the median, of {FRICTION}")
     return cloud
 

@@ -220,6 +220,7 @@ def test_files_that_are_no_touches(name, text, message, tmp_path):
         ({"points": np.eye(4)[:, :3], "normal_sd": np.ones(3)}, "normal_sd must be one number"),
         ({"points": np.eye(4)[:, :3], "covariance": np.eye(3)}, "covariance must be finite, of the shape"),
         ({"points": np.eye(4)[:, :3], "covariance": np.full((4, 3, 3), np.nan)}, "covariance must be finite"),
+        ({"points": np.eye(4)[:, :3], "covariance": np.tile(np.diag([1, 1, -1]), (4, 1, 1))}, "as 4 of 4 are"),
         ({"points": np.eye(4)[:, :3], "unit": "foot"}, "unit must be one of"),
     ],
 )

@@ -70,7 +70,11 @@ def touches(
         covariance = np.array(covariance, dtype=np.float64)
         if covariance.shape != (count, 3, 3) or not np.isfinite(covariance).all():
             raise InputError(f"covariance must be finite, of the shape ({count}, 3, 3), got {covariance.shape}")
-        place_sd = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+        variances = np.linalg.eigvalsh(covariance)
+        wrong = variances[:, 0] < -1e-5 * np.abs(variances[:, -1])  # more than float32 rounds
+        if wrong.any():
+            raise InputError(f"covariance must not be negative in any direction, as {int(wrong.sum())} of {count} are")
+        place_sd = np.sqrt(np.maximum(variances[:, -1], 0.0))
     known_sd = None if normal_sd is None else np.where(np.isnan(normal_sd), 0.0, normal_sd)
     place, turn = _deviation(place_sd, count, "place_sd"), _deviation(known_sd, count, "normal_sd")
     if covariance is None and place is not None:
