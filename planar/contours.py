@@ -428,8 +428,9 @@ _Pieces = tuple[Array, Array, Array, Array]
 def _lower_side(vertices: Array) -> _Pieces:
     """Vertex, edge, vertex, ..., vertex: the slope turns at the vertices, the point moves along the edges."""
     edges = np.roll(vertices, -1, axis=0) - vertices
-    # Edges of the lower side run to the right.  Vertical edges stay out: the rod stands parallel to them without force.
-    lower = np.flatnonzero(edges[:, 0] > 0)
+    # Edges of the lower side run to the right.  Vertical edges stay out: the rod stands parallel to them without force, and
+    # rounding would decide at which end it touches first.
+    lower = np.flatnonzero(edges[:, 0] > 10 * ROUNDING * np.abs(edges[:, 1]))
     interruption = np.flatnonzero(np.diff(lower) != 1)
     if len(interruption):
         lower = np.roll(lower, -(interruption[0] + 1))

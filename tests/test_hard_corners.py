@@ -88,3 +88,9 @@ def test_friction_that_changes_from_sample_to_sample():
     np.testing.assert_allclose(
         np.abs(first["force_angle"] - first["slope"]), np.arctan(swept.friction[touching]), atol=1e-9
     )
+
+
+@pytest.mark.parametrize("moved", [-1e-13, 0.0, 1e-13])
+def test_a_rod_that_stands_along_an_edge_up_to_rounding_touches_its_near_end(moved):
+    block = planar.Polygon([(0.0, 0.3), (0.4, 0.3), (0.4 + moved, 0.7), (0.0, 0.7)])
+    np.testing.assert_allclose(planar.sweep(block, 20).point[0], (0.4, 0.3), atol=1e-9)
