@@ -139,7 +139,7 @@ def felt_along(
         return far, normals[face]
 
     point, force, moment, onto = hanging.copy(), weight.copy(), in_air.copy(), np.zeros((3, n))
-    distance, active = np.full(n, np.inf), np.arange(n)
+    earlier, distance, active = np.full((3, n), np.nan), np.full(n, np.inf), np.arange(n)
     resolved, steps = np.ones(n, dtype=bool), None
     for number in range(_ROUNDS):
         beside = point[:, active].copy()
@@ -155,21 +155,31 @@ def felt_along(
         if planar:
             local[:, 2] = 0.0
         pushed = stop * _direction(local, np.arctan(friction[active])).T
-        pulled = None if down is None else down[:, active]
         before, last = point[:, active], force[:, active]
         force[:, active] = weight[:, active] - pushed
         # of the force on the surface of the bead about its centre
         at_end = cross(-bead / length * local.T, pushed)
         moment[:, active] += cross(before, force[:, active] - last) - (at_end - onto[:, active])
         onto[:, active] = at_end
-        # the forces of later rounds hardly differ, so that as many steps are enough
-        found = ends(bent, force[:, active], moment[:, active], pulled, steps)
-        steps = found.steps
-        change = found.moment - at_end
-        moment[:, active] += change
-        point[:, active] = found.point
-        moved = np.abs(np.concatenate([(found.point - before)[[0, 2]], change])).max(axis=0, initial=0.0)
-        active = active[moved > _SETTLED]
+        # pushed off each of two faces onto the other, it would rest on the edge between, where there is no normal
+        changed, edge = (force[:, active] != last).any(axis=0), (force[:, active] == earlier[:, active]).all(axis=0)
+        resolved[active[changed & edge]] = False
+        earlier[:, active] = last
+        # a rod that meets places with the same normal again is bent by the same force
+        rows = active[(changed & ~edge) | (number == 0)]
+        for _ in range(_ROUNDS):
+            # the forces of later rounds hardly differ, so that as many steps are enough
+            found = ends(bent, force[:, rows], moment[:, rows], None if down is None else down[:, rows], steps)
+            steps = found.steps
+            change = found.moment - onto[:, rows]
+            moment[:, rows] += change
+            moved = np.abs(np.concatenate([(found.point - point[:, rows])[[0, 2]], change])).max(axis=0, initial=0.0)
+            point[:, rows] = found.point
+            rows = rows[moved > _SETTLED]
+            if not len(rows):
+                break
+        resolved[rows] = False
+        active = active[np.abs((point[:, active] - before)[[0, 2]]).max(axis=0, initial=0.0) > _SETTLED]
         if not len(active):
             break
     resolved[active] = False
