@@ -18,6 +18,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
+from scan3d.choices import IN_WORDS
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.errors import NoBodyError
@@ -504,7 +505,8 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
-    rows.append(("surface", f"{surface['method']}, {closed}" if surface["method"] else f"none: {surface['reason']}"))
+    method = IN_WORDS.get(surface["method"], surface["method"])
+    rows.append(("surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"))
     if hausdorff:
         to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""
         rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
