@@ -9,7 +9,7 @@ port put `serial.Serial(port, 115200)` of pyserial in the place of the socket, a
     python examples/live_contacts.py
 
 RIG.toml is a calibration by `scan3d calibrate`, or the TOML file of a recording.  Without it the script sends a simulated scan
-of an egg to itself.
+of an egg to itself.  In a browser the page whose address is printed first shows contacts and rod while they move.
 """
 
 import socket
@@ -39,14 +39,16 @@ def send(recording: scan3d.Recording, port: int, rate_hz: float = 500.0) -> None
 
 # %% Rows come in, contacts go out
 def listen(live: scan3d.Live, receiver: socket.socket) -> None:
-    """Print the contacts of the rows that arrive, until an empty datagram does."""
-    while row := receiver.recv(1024):
-        t, *values = map(float, row.split(b","))
-        contact = live.push(t, values[:3], values[3:7], values[7:])
-        if contact is not None:
-            x, y, z = contact.point
-            sd = np.sqrt(np.linalg.eigvalsh(contact.covariance)[-1])
-            print(f"{t:8.3f} s  ({x:7.3f}, {y:7.3f}, {z:7.3f}) mm ± {sd:.3f}  {contact.force_N * 1e3:6.1f} mN")
+    """Print and show the contacts of the rows that arrive, until an empty datagram does."""
+    with scan3d.LivePage(live) as page:
+        print(page.url)
+        while row := receiver.recv(1024):
+            t, *values = map(float, row.split(b","))
+            contact = live.push(t, values[:3], values[3:7], values[7:])
+            if contact is not None:
+                x, y, z = contact.point
+                sd = np.sqrt(np.linalg.eigvalsh(contact.covariance)[-1])
+                print(f"{t:8.3f} s  ({x:7.3f}, {y:7.3f}, {z:7.3f}) mm ± {sd:.3f}  {contact.force_N * 1e3:6.1f} mN")
 
 
 def main(words: list[str]) -> scan3d.Live:

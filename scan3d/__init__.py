@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from scan3d.laboratory.places import calibrate_signals as calibrate_signals
     from scan3d.live import Live as Live
     from scan3d.live import LiveContact as LiveContact
+    from scan3d.live_page import LivePage as LivePage
     from scan3d.pictures.notebook import plot as plot
     from scan3d.planning import Plan as Plan
     from scan3d.recording import Recording as Recording
@@ -69,6 +70,7 @@ _NAMES = {
     "laboratory.importing": "import_table",
     "laboratory.places": "calibrate_signals",
     "live": "Live LiveContact",
+    "live_page": "LivePage",
     "pictures.notebook": "plot",
     "planning.plan": "Plan",
     "recording": "Recording",

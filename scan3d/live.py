@@ -128,6 +128,8 @@ class Live:
         self._rows: list[Recording] = []
         self._last: deque[Array] = deque(maxlen=_WINDOW)
         self._touches, self._pressed = 0, False
+        self.contacts: list[LiveContact] = []
+        """The contacts so far."""
         self.tare()
 
     def tare(self) -> None:
@@ -193,6 +195,7 @@ class Live:
         else:
             contact = _contact(t, row, self.model)
             self.state = "unknown" if contact is None else "touching"
+            self.contacts += [] if contact is None else [contact]
         self._rows.append(row)
         return contact
 
@@ -279,6 +282,16 @@ class Live:
         columns: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in self._rows]) for name in names}
         last = self._rows[-1]
         return as_stated(of_checked(last, **columns), last.noise)
+
+    @property
+    def unit(self) -> str:
+        """The unit of points."""
+        return self._like.unit
+
+    @property
+    def last_row(self) -> Recording | None:
+        """The last row, as a recording of one: tared and corrected; None before there is one."""
+        return self._rows[-1] if self._rows else None
 
     @property
     def cloud(self) -> Cloud:

@@ -49,13 +49,13 @@ class Tab:
         self.count, self.rest, self.events, self.session = 0, b"", [], None
 
     def open(self, path, width=WIDTH, height=HEIGHT, *, ratio=1, mobile=False):
-        """Load the file in a window of this size, and wait until it has."""
+        """Load the file, or what an address serves, in a window of this size, and wait until it has."""
         target = self("Target.createTarget", url="about:blank")["targetId"]
         self.session = self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Network", "Runtime", "Log"):
             self(f"{domain}.enable")
         self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=ratio, mobile=mobile)
-        self("Page.navigate", url=path.as_uri())
+        self("Page.navigate", url=path if isinstance(path, str) else path.as_uri())
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.receive()
 

@@ -7,16 +7,20 @@ transitions that a script prints are checked against reference values, derived t
 import importlib.util
 import json
 import re
+import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from unittest.mock import MagicMock
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from small_scans import EGG
 from test_against_reference_values import TABLE
 
 import planar
+import scan3d
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -92,9 +96,51 @@ def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_live_contacts(capsys: pytest.CaptureFixture[str]) -> None:
     live = example("live_contacts").main([])
-    *lines, last = capsys.readouterr().out.splitlines()
+    page, *lines, last = capsys.readouterr().out.splitlines()
+    assert page.startswith("http://127.0.0.1:")
     assert last == f"{len(live.cloud)} contacts in {len(live.recording)} rows"
     assert len(lines) >= len(live.cloud) > 100
+
+
+def test_live_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    ros = MagicMock()  # in the place of ROS, with messages that keep what is written
+    for name in ("rclpy", "rclpy.node", "rclpy.qos", "rclpy.time", "geometry_msgs", "sensor_msgs", "tf2_ros"):
+        monkeypatch.setitem(sys.modules, name, ros)
+    for name in ("geometry_msgs.msg", "sensor_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, ros)
+    ros.Node = type("Node", (), {"__init__": lambda *_: None, "__getattr__": lambda *_: MagicMock()})
+    ros.PoseWithCovarianceStamped.side_effect = lambda: MagicMock()
+    ros.PointCloud2.side_effect = ros.PointField.side_effect = lambda **fields: MagicMock(**fields)
+    ros.Time.from_msg.side_effect = lambda stamp: stamp.sec
+    recording = scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(model="spatial", slices=2, sweeps=2, samples=16))
+    node = example("live_ros").Contacts(recording)
+    places, turns, (forces, moments) = recording.position_m, recording.quaternion[:, [1, 2, 3, 0]], recording.wrench()
+
+    def vector(values: np.ndarray) -> SimpleNamespace:
+        return SimpleNamespace(**dict(zip("xyzw", values.tolist(), strict=False)))
+
+    node.buffer.lookup_transform.side_effect = lambda base, frame, k: SimpleNamespace(
+        transform=SimpleNamespace(translation=vector(places[k]), rotation=vector(turns[k]))
+    )
+    node.buffer.can_transform.side_effect = lambda base, frame, k: k > 0 or arrived
+    for k in range(len(recording)):
+        arrived = k > 4  # the first transform comes late
+        message = MagicMock()
+        message.header.stamp.sec, message.header.stamp.nanosec = k, 0
+        message.wrench = SimpleNamespace(force=vector(forces[k]), torque=vector(moments[k]))
+        node.take(message)
+        assert arrived or not node.contact.publish.called
+    found = [call.args[0].pose.pose.position for call in node.contact.publish.call_args_list]
+    live = scan3d.Live(recording, unit="m")
+    pushed = [
+        live.push(k, places[k], recording.quaternion[k], np.append(forces[k], moments[k])) for k in range(len(places))
+    ]
+    points = [contact.point for contact in pushed if contact is not None]
+    np.testing.assert_allclose([(one.x, one.y, one.z) for one in found], points, atol=1e-9)
+    node.publish_cloud()
+    (sent,) = node.cloud.publish.call_args.args
+    rows = np.frombuffer(sent.data, dtype="<f4").reshape(sent.width, -1)
+    np.testing.assert_allclose(rows[:, :3], points, atol=1e-6)
 
 
 def test_mujoco_log() -> None:

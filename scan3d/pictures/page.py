@@ -34,10 +34,18 @@ def page(scene: Scene) -> bytes:
     come from its recording.
     """
     scene = scene.in_shown_unit()
+    return page_of(scene, page_data(scene))
+
+
+def page_data(scene: Scene, center: Array | None = None) -> dict[str, Any]:
+    """What the page shows of a scene, as it stands in the page: layers and player, in coordinates about the `center` (3,).
+
+    By default that is the middle of the scene.  Raises InputError as `page`.
+    """
     corners = scene.corners
     if not len(corners):
         raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
-    center = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    center = (corners.min(axis=0) + corners.max(axis=0)) / 2 if center is None else center
     with own_style():
         layers = list(_layers(scene, center))
     data: dict[str, Any] = {
@@ -50,6 +58,16 @@ def page(scene: Scene) -> bytes:
     }
     if parts.has_rods(scene):
         data["player"] = player(scene, center)
+    return data
+
+
+def as_json(data: dict[str, Any]) -> str:
+    """What a page shows, as the text that it reads."""
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def page_of(scene: Scene, data: dict[str, Any]) -> bytes:
+    """The page of a scene whose data are known; where they say that it is `live`, it asks for them again and again."""
     # sentences are shown when they are asked for
     heading = [row for row in scene.key_figures if row[0] == "scan"]
     premises = [row for row in scene.key_figures if row[0] in ("assumed", "tested")]
@@ -58,9 +76,10 @@ def page(scene: Scene) -> bytes:
     if premises:
         shown += f"<details><summary>what this assumes</summary>{_table(premises)}</details>"
     # "</script>" within the data would end the script element that contains them
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    text = as_json(data).replace("<", "\\u003c")
     # one script, whose parts see each other's names, in the order in which they run
-    parts_of_script = (_part(f"page_{name}.js") for name in ("view", "layers", "player", "tools", "main"))
+    names = ["view", "layers", "player", "tools", "main", *(["live"] if data.get("live") else [])]
+    parts_of_script = (_part(f"page_{name}.js") for name in names)
     script = '"use strict";\n' + "".join(parts_of_script)
     # the browser runs the script with this hash and no other
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -70,6 +89,7 @@ def page(scene: Scene) -> bytes:
         "KEYFIGURES": shown,
         "DATA": text,
         "STYLE": _part("page.css"),
+        "CONNECT": "; connect-src 'self'" if data.get("live") else "",
     }
     filled |= {"SCRIPT": script, "HASH": f"sha256-{digest}"}
     # in one pass, as what is filled in may contain the text of a placeholder
@@ -109,10 +129,10 @@ def _layers(scene: Scene, center: Array) -> list[dict[str, Any]]:
         layers.append(_contacts(scene, center))
     normals = parts.normal_lines(scene)
     if len(normals):
-        layers.append(_strips("normals", list(normals), center, parts.NORMAL, 1.0))
+        layers.append(strips("normals", list(normals), center, parts.NORMAL, 1.0))
     name, lines = parts.sections(scene)
     if lines:
-        layers.append(_strips(name, [line for line, _ in lines], center, parts.INK, 1.2))
+        layers.append(strips(name, [line for line, _ in lines], center, parts.INK, 1.2))
     if scene.truth is not None:
         layers.append(_triangles(scene.reference, scene.truth, center, color=parts.TIP, alpha=0.45))
     return layers
@@ -143,7 +163,7 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
     }
 
 
-def _strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:
+def strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:
     starts = np.cumsum([0, *map(len, lines)]).tolist()
     points = _array(np.concatenate(lines) - center)
     return {"name": name, "kind": "lines", "points": points, "starts": starts, "color": color, "width": width}

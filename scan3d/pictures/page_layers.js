@@ -1,12 +1,12 @@
 // The layers: their colours by values, their legends with histograms, and their boxes in the panel.
 
 function prepare(layer) {
-  layer.buffer = buffer(gl.ARRAY_BUFFER, layer.points);
+  layer.buffer = buffer(gl.ARRAY_BUFFER, layer.points, layer.buffer);
   const golden = k => 0.6180339887 * k % 1;  // contacts in an order whose beginnings are spread evenly along the sweeps
   if (layer.kind === "points") layer.order = Uint32Array.from(layer.points.slice(0, layer.points.length / 3).keys())
     .sort((a, b) => golden(a) - golden(b));
-  if (layer.faces || layer.order) layer.elements = buffer(gl.ELEMENT_ARRAY_BUFFER, layer.faces || layer.order);
-  layer.scale = layer.colors?.[0];
+  if (layer.faces || layer.order) layer.elements = buffer(gl.ELEMENT_ARRAY_BUFFER, layer.faces || layer.order, layer.elements);
+  layer.scale = layer.colors?.[layer.chosen ?? 0];
   if (layer.kind !== "lines") paint(layer);
 }
 
@@ -107,11 +107,11 @@ function controls() {
     choice.setAttribute("aria-label", "colour of " + layer.name);
     for (const scale of [...layer.colors, null]) choice.add(new Option(scale ? scale.title : "plain"));
     choice.onchange = () => {
-      layer.scale = layer.colors[choice.selectedIndex];
+      layer.chosen = choice.selectedIndex; layer.scale = layer.colors[layer.chosen];
       paint(layer); legend(key, layer); redraw();
       if (layer === first) brief(layer);
     };
-    legend(key, layer);
+    legend(key, layer); layer.legend = key;
   }
   if (player) {
     player.box = box("rod, clamp and reactions", player.on, on => switchPlayer(on));

@@ -103,6 +103,7 @@ if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();
   controls();
+  byId("figures").hidden = !byId("figures").querySelector("td");
   byId("figures").open = true;  // where they fit
   byId("figures").open = panel.scrollHeight <= panel.clientHeight;
   listen(); draw();

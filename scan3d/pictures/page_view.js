@@ -3,8 +3,9 @@ const byId = id => document.getElementById(id);
 const canvas = byId("view"), panel = byId("panel"), dock = byId("dock"), picked = byId("picked");
 const gl = canvas.getContext("webgl2", {antialias: false});
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
-const data = JSON.parse(byId("data").textContent, (_, value) => value?.f4 !== undefined ? new Float32Array(bytes(value.f4))
+const parsed = text => JSON.parse(text, (_, value) => value?.f4 !== undefined ? new Float32Array(bytes(value.f4))
   : value?.u4 !== undefined ? new Uint32Array(bytes(value.u4)) : value);
+const data = parsed(byId("data").textContent);
 const rgb = hex => [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
 const plus = (a, b, t = 1) => [a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]];
 const minus = (a, b) => plus(a, b, -1);

@@ -495,9 +495,28 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         )
     chosen = most_informative_sweep(scene) if number is None else number
     selected = sweeps == chosen
-    rod, rows = recording.rod, recording_rows(scene, recording)[selected]
-    axes = recording.axes()[rows]
-    if is_spatial(scene):
+    rows = recording_rows(scene, recording)[selected]
+    curved, straight = bent_rods(recording, rows, is_spatial(scene), points)
+    finite = np.isfinite(curved).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2))
+    kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
+    scale = 1 / UNITS_M[scene.unit]
+    return ShownSweep(
+        number=int(chosen),
+        slice=None if slices is None else int(slices[selected][0]),
+        base=recording.position_m[rows][kept] * scale,
+        turns=recording.axes()[rows][kept],
+        curved=curved[kept] * scale,
+        straight=straight[kept] * scale,
+    )
+
+
+def bent_rods(recording: Recording, rows: NDArray[np.int64], spatial: bool, points: int = 60) -> tuple[Array, Array]:
+    """Rods (k, p, 3) from the clamp to the contact in some rows, and their straight rests (k, 2, 3), in metres.
+
+    `spatial` rods bend in a plane of their own, others in the clamp's plane of x and y.
+    """
+    rod, axes, base = recording.rod, recording.axes()[rows], recording.position_m[rows]
+    if spatial:
         in_plane, plane = _spatial_reactions(recording, rows, axes)
     else:
         force = recording.force_N[rows] / rod.force_unit_N
@@ -505,23 +524,10 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         plane = axes[:, :2]
     across, along, moment = in_plane.T
     lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
-    finite = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
-    kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
-    scale = 1 / UNITS_M[scene.unit]
-    base = recording.position_m[rows]
-
-    def world(line: Array) -> Array:
-        points: Array = base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, plane)
-        return points[kept] * scale
-
-    return ShownSweep(
-        number=int(chosen),
-        slice=None if slices is None else int(slices[selected][0]),
-        base=base[kept] * scale,
-        turns=axes[kept],
-        curved=world(lines.curved),
-        straight=world(lines.straight),
+    curved, straight = (
+        base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, plane) for line in (lines.curved, lines.straight)
     )
+    return curved, straight
 
 
 def sweep_direction(sweep: ShownSweep) -> Array:
