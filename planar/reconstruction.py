@@ -379,7 +379,7 @@ def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Arr
         moved[k, :, k] += [-change[k], change[k]]
     everywhere = rod.rows(np.tile(np.arange(len(moment)), 6))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = solve("closed-form", everywhere, *moved.reshape(3, -1))
+        found = solve("closed-form", everywhere, *moved.reshape(3, -1), within=DIFFERENCE**2)
         values = np.stack([found.x, found.y, found.s1, found.alpha, found.beta]).reshape(5, 2, 3, -1)
         return np.asarray((values[:, 1] - values[:, 0]) / (2 * change)).transpose(2, 0, 1)
 

@@ -46,8 +46,9 @@ from planar.elastica import bend, bend_by_half_angle, integrals, partial_shape, 
 
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
-# Steps along the rod to start with.
-STEPS = 8
+# Steps along the rod to start with, on how many rows they are tried, and the change of places between two numbers of steps, in
+# rod lengths, at which there are enough.
+STEPS, TRIED, PLACES = 8, 32, 1e-10
 # Slopes of the tip, and arc lengths, at which the moment of the overhang is tabulated.
 _TIP_SLOPES, _LENGTHS = 96, 33
 
@@ -223,14 +224,20 @@ class Marched(NamedTuple):
     """(n,) excess of the moment at the clamp over that of the free rod: negative for rods bent by a sweep in -x."""
 
 
-def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
-    """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
+def contacts(rod: Rod, force: Array, moment: Array, within: float = PLACES) -> Marched:
+    """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``.
+
+    Places are right `within` that.
+    """
+    known: dict[int, Marched] = {}
 
     def places(rows: Index, steps: int) -> Array:
-        found = _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
+        found = known[steps] = _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
         return np.stack([found.s1, found.x, found.y])
 
-    steps = enough_steps(places, np.hypot(*force) + np.abs(moment))
+    steps = enough_steps(places, np.hypot(*force) + np.abs(moment), within=within)
+    if 0 < len(moment) <= TRIED:
+        return known[steps]
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
     parts = [_contacts(rod.rows(rows), force[:, rows], moment[rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -247,20 +254,22 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
 
 
-def enough_steps(march: Callable[[Index, int], Array], size: Array, steps: int = STEPS) -> int:
-    """The number of steps, at least so many: more and more until two runs agree on some rows, those of the largest `size` (n,)
-    among them.
+def enough_steps(march: Callable[[Index, int], Array], size: Array, steps: int = STEPS, within: float = PLACES) -> int:
+    """The number of steps, at least so many: more and more until two runs agree `within` that on some rows, at most `TRIED` and
+    those of the largest `size` (n,) among them.
 
     `march` gives places of rows by a number of steps.
     """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
     # some rows of all sizes tell how many steps are enough
-    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), 32).astype(np.intp))] if len(order) else order
+    rows = np.sort(
+        order[np.unique(np.linspace(0, max(len(order) - 1, 0), TRIED).astype(np.intp))] if len(order) else order
+    )
     last = march(rows, steps)
     while steps < 256:
         more = max(round(1.5 * steps), steps + 1)
         finer = march(rows, more)
-        if not ((np.abs(finer - last) > 1e-10) | (np.isnan(finer) != np.isnan(last))).any():
+        if not ((np.abs(finer - last) > within) | (np.isnan(finer) != np.isnan(last))).any():
             break
         steps, last = more, finer
     return steps
@@ -502,10 +511,13 @@ class Solved(NamedTuple):
     """Where the method does not have a solution."""
 
 
-def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
-    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is."""
+def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array, *, within: float = PLACES) -> Solved:
+    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is.
+
+    Places of rods that are integrated in steps are right `within` that.
+    """
     if method == "scholz-rahn" or not rod.is_uniform:
-        return _marched(rod, f0x, f0y, m0z)
+        return _marched(rod, f0x, f0y, m0z, within)
     if rod.curvature:
         return _arc(rod, f0x, f0y, m0z)
     force, s, c = _polar(f0x, f0y)
@@ -567,10 +579,10 @@ def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     return solved
 
 
-def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array, within: float = PLACES) -> Solved:
     carried = np.stack([f0x, f0y]) + rod.pull
     force, s, c = _polar(*carried)
-    found = contacts(rod, -carried, -m0z)
+    found = contacts(rod, -carried, -m0z, within)
     alpha = 2 * np.arctan2(s, c)
     beta = np.remainder(alpha - found.slope + np.pi, 2 * np.pi) - np.pi
     undefined = np.zeros(len(alpha), dtype=bool)

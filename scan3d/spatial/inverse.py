@@ -300,7 +300,8 @@ def _errors_by_differences(
     with np.errstate(all="ignore"):
         step, n = DIFFERENCE * np.eye(6)[:, :, None] * size, len(f0)
         moved = np.stack([reactions - step, reactions + step]).transpose(2, 0, 1, 3).reshape(6, -1)
-        found = march.contacts(rod, moved[:3], moved[3:], None if down is None else np.tile(down, 12))
+        down = None if down is None else np.tile(down, 12)
+        found = march.contacts(rod, moved[:3], moved[3:], down, within=DIFFERENCE**2)
         along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
         ends = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]).reshape(8, 2, 6, n)
         rate = (ends[:, 1] - ends[:, 0]) / (2 * DIFFERENCE * size)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from planar.rods import STEPS, Profile, along, crossings, enough_steps, grid, tableau
+from planar.rods import PLACES, STEPS, TRIED, Profile, along, crossings, enough_steps, grid, tableau
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
@@ -78,19 +78,28 @@ class Marched(NamedTuple):
 
 
 def contacts(
-    rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None, steps: int | None = None
+    rod: SpatialRod,
+    force: Array,
+    moment: Array,
+    gravity: Array | None = None,
+    steps: int | None = None,
+    within: float = PLACES,
 ) -> Marched:
     """Contacts of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
 
     Reactions of rods with weight are the whole ones.  `steps` along the rod are by default as many as places need to be
-    right to 1e-10.  Raises ValueError for a weight without gravity.
+    right `within` that.  Raises ValueError for a weight without gravity.
     """
     start, contact_force = _clamped(rod, force, moment, gravity)
+    known: dict[int, Marched] = {}
 
     def places(rows: Index, steps: int) -> Array:
-        return _contacts(rod, start[:, rows], contact_force[:, rows], steps).point
+        known[steps] = _contacts(rod, start[:, rows], contact_force[:, rows], steps)
+        return known[steps].point
 
-    steps = steps or enough_steps(places, np.abs(start[:6]).sum(axis=0))
+    steps = steps or enough_steps(places, np.abs(start[:6]).sum(axis=0), within=within)
+    if steps in known and force.shape[1] <= TRIED:
+        return known[steps]
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
