@@ -42,11 +42,17 @@ def check_picture(script: ModuleType, tmp_path: Path, *options: str) -> None:
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+def smaller(function, **fewer):
+    """The function with these options in the place of what the script asks for."""
+    return lambda *given, **options: function(*given, **{**options, **fewer})
+
+
 @pytest.mark.slow
 def test_scripts_draw_whose_own_tests_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     reaches = example("what_a_rod_reaches")
     for sweeps in ("near", "far", "aimed"):
         monkeypatch.setattr(reaches, sweeps, getattr(reaches, sweeps)[::5])
+    monkeypatch.setattr(scan3d, "scan", smaller(scan3d.scan, slices=2, sweeps=3, samples=8))
     drawn = ("one_sweep", "paper_figure_3", "paper_figure_4", "paper_figure_5", "what_a_rod_reaches", "whisker")
     assert [name for name in SCRIPTS if name not in drawn and f"test_{name}" not in globals()] == []
     for name in drawn:
@@ -94,7 +100,8 @@ def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_live_contacts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_contacts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, samples=12))
     live = example("live_contacts").main([])
     page, *lines, last = capsys.readouterr().out.splitlines()
     assert page.startswith("http://127.0.0.1:")
@@ -229,15 +236,16 @@ def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.slow
 def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("own_measurements")
+    monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, sweeps=5, samples=12))
     # the conversion to the laboratory's table and back loses nothing: the recording is that of the simulation
     script.laboratory(tmp_path / "table.csv", slices=4)
     header, *rows = (tmp_path / "table.csv").read_text().splitlines()
     assert tuple(header.split(",")) == script.COLUMNS
     made = script.recording(tmp_path / "table.csv")
     assert len(made) == len(rows)
-    mesh = script.scan3d.load_mesh(script.MESH)
-    plan = script.scan3d.Plan(slices=4, spacing="adaptive", friction=(0.1, 0.4), rod=script.ROD)
-    straight = script.scan3d.simulate(mesh, plan)
+    mesh = scan3d.load_mesh(script.MESH)
+    plan = scan3d.Plan(slices=4, spacing="adaptive", friction=(0.1, 0.4), rod=script.ROD)
+    straight = scan3d.simulate(mesh, plan)
     for name in ("position_m", "force_N", "moment_Nm"):
         np.testing.assert_allclose(getattr(made, name), getattr(straight, name), rtol=0, atol=1e-15)
     np.testing.assert_allclose(made.axes(), straight.axes(), rtol=0, atol=1e-15)
@@ -256,7 +264,7 @@ def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
         "tare": {"air": "none"},
         "rod": {"length_m": 0.06, "diameter_m": 0.3e-3, "modulus_Pa": 210e9},
     }
-    found = script.scan3d.import_table(tmp_path / "table.csv", data)
+    found = scan3d.import_table(tmp_path / "table.csv", data)
     assert np.array_equal(found.sweep, made.sweep)
     assert found.rod == made.rod
     np.testing.assert_allclose(found.position_m, made.position_m, rtol=0, atol=1e-15)

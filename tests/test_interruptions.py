@@ -93,17 +93,19 @@ def test_what_was_simulated_is_kept_and_one_goes_on_with_it(tmp_path, capsys, no
     assert main(["scan", str(CUBE), "--out", str(whole), *FEW]) == 0
     on = ["reconstruct", str(out / "recording.csv"), "--out", str(out)]
     said = f"scan3d: interrupted; the recording is kept: go on with scan3d {' '.join(on)}\n"
-    for go_on in (on, ["scan", str(CUBE), "--out", str(out)]):
-        assert ended(number, out) == (said if number == signal.SIGINT else "")
-        assert {path.name for path in out.glob("[!.]*")} == {"recording.csv", "recording.toml", "report.json"}
-        for name in ("recording.csv", "recording.toml"):
-            assert (out / name).read_bytes() == (whole / name).read_bytes()
-        assert main(["export", str(out), "--to", str(tmp_path / "a.stl")]) == 1
-        assert main(["show", str(out), "--html", str(tmp_path / "a.html")]) == 1
-        assert capsys.readouterr().err.count(" ".join(on)) == 2
-        assert main([*go_on, *(FEW if go_on[0] == "scan" else ["--quiet"])]) == 0
-        assert scan3d.open(out).cloud.points.shape == scan3d.open(whole).cloud.points.shape
+    assert ended(number, out) == (said if number == signal.SIGINT else "")
+    assert {path.name for path in out.glob("[!.]*")} == {"recording.csv", "recording.toml", "report.json"}
+    for name in ("recording.csv", "recording.toml"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+    assert main(["export", str(out), "--to", str(tmp_path / "a.stl")]) == 1
+    assert main(["show", str(out), "--html", str(tmp_path / "a.html")]) == 1
+    assert capsys.readouterr().err.count(" ".join(on)) == 2
+    shutil.copytree(out, tmp_path / "kept", symlinks=True)
+    for go_on in ([*on, "--quiet"], ["scan", str(CUBE), "--out", str(out), *FEW]):
         shutil.rmtree(out)
+        shutil.copytree(tmp_path / "kept", out, symlinks=True)
+        assert main(go_on) == 0
+        assert scan3d.open(out).cloud.points.shape == scan3d.open(whole).cloud.points.shape
 
 
 def test_an_end_replaces_neither_a_result_nor_files_of_others(tmp_path, no_pictures):

@@ -208,19 +208,9 @@ def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
 
 @pytest.mark.slow
 def test_next_writes_no_file_where_no_sweep_stays_above_the_floor(egg, tmp_path, capsys, no_pictures):
-    egg.export(tmp_path / "egg.stl")
-    upright = [
-        "scan",
-        str(tmp_path / "egg.stl"),
-        "--out",
-        str(tmp_path / "x"),
-        "--axis",
-        "x",
-        "--slices",
-        "5",
-        "--quiet",
-    ]
-    assert main([*upright, "--samples", "24", "--rod", "steel:0.3x80"]) == 0
+    plan = scan3d.Plan(slices=5, samples=24, axis="x", rod=Rod.of_length(0.08))
+    scan3d.write_recording(scan3d.simulate(egg, plan), tmp_path / "log.csv")
+    assert main(["reconstruct", str(tmp_path / "log.csv"), "--out", str(tmp_path / "x"), *HULL]) == 0
     run = ["next", str(tmp_path / "x"), "--out", str(tmp_path / "p.csv"), "--around", "cylinder:60x60"]
     assert main([*run, "--floor", "59"]) == 1
     assert "stay above z = 59" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """What a terminal sees: bold key figures where they are supported, and the progress of a run; and what a pipe sees."""
 
 import ast
+import functools
 import io
 import json
 import re
@@ -137,15 +138,19 @@ def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_l
     assert lines == [f"scan3d: {0.4 * k:.1f} s: {words}" for k, words in enumerate(terminal._STEPS.values())]
 
 
+@functools.cache
 def signs():
     """The characters beyond ASCII in the texts of the program, without docstrings, pictures, and what terminals obey."""
+    found = {*"µμ³²±°×"}
     for path in Path(scan3d.__file__).parent.rglob("*.py"):
+        if path.parent.name == "pictures":
+            continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
         notes = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         texts = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
-        found = "".join(node.value for node in texts if id(node) not in notes)
-        if path.parent.name != "pictures":
-            yield from (sign for sign in set(found) if not sign.isascii() and terminal.printable(sign) == sign)
+        text = "".join(node.value for node in texts if id(node) not in notes)
+        found |= {sign for sign in set(text) if not sign.isascii() and terminal.printable(sign) == sign}
+    return "".join(sorted(found))
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "gbk", "cp932", "cp949", "cp437", "latin-1", "utf-8"])
@@ -154,7 +159,7 @@ def test_every_sign_is_legible_in_every_encoding(monkeypatch, encoding):
     printed = {name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")}
     for name, stream in printed.items():
         monkeypatch.setattr(sys, name, stream)
-    used = "".join(sorted({*signs(), *"µμ³²±°×"}))
+    used = signs()
     monkeypatch.setattr("scan3d.cli.commands.GUIDE", f"{used}|Würfel 中 😀")
     assert run([]) == 0
     terminal.say(used)
