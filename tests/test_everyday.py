@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import scan3d
+from scan3d.pipeline import analyse
+from scan3d.settings import settings
 from tests.robustness.everyday import EVERYDAY, mesh_of
 from tests.robustness.probing import signed
 
@@ -21,7 +23,7 @@ def test_body_is_closed_and_in_one_part(name):
 @pytest.mark.slow
 def test_no_needle_stands_between_the_parts_of_a_body():
     mesh = mesh_of("wrench")
-    surface = scan3d.scan(mesh, friction=(0.0, 0.4), seed=0).surface
+    surface = analyse(scan3d.simulate(mesh, settings({"friction": "0:0.4"}).plan())).surface
     assert surface.euler_number == EVERYDAY["wrench"].euler
     # where nothing was touched as well; it was 5.8 %
     assert np.abs(signed(mesh, surface.vertices)).max() <= 0.03 * np.linalg.norm(mesh.extents)

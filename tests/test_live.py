@@ -1,5 +1,6 @@
 """Rows that are pushed one by one give what the whole recording gives, to the last bit."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +34,7 @@ def pushed(live, recording):
     return found, np.array(states)
 
 
+@functools.cache
 def scanned(model, rod=None, noise=1e-4, **more):
     samples = 40 if model == "planar" else 10  # of many more sweeps
     plan = scan3d.Plan(slices=2, sweeps=3, samples=samples, model=model, rod=rod, noise=noise, friction=(0.0, 0.4), **more)
@@ -91,7 +93,7 @@ def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
             live.push(-0.1 + 0.01 * k, raw.position_m[0], raw.quaternion[0], bias + 1e-9 * rng.normal(size=6)) is None
         )
         assert live.state == "unknown"
-    some = np.arange(0, len(raw), 7)
+    some = np.arange(0, len(raw), 35)
     found = [live.push(0.01 * k, raw.position_m[k], raw.quaternion[k], wrench[k], int(raw.sweep[k])) for k in some]
     corrected = of_rows(calibration.applied(raw, tare="calibration"), some)
     np.testing.assert_allclose(live.recording.position_m, corrected.position_m, atol=1e-12)
