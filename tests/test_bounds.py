@@ -178,8 +178,7 @@ def test_surfaces_that_are_open_or_dented_are_compared_with_the_inner_body(ball)
 
 @pytest.mark.open3d
 @pytest.mark.parametrize(
-    "method",
-    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
+    "method", [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)]
 )
 def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     mesh, cloud, bounds = ball
@@ -223,10 +222,7 @@ def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
     number = np.full(len(cloud.slice_height), -1, dtype=np.int32)
     number[filled] = np.arange(len(filled))
     open_ended = dataclasses.replace(
-        cloud,
-        slice=number[cloud.slice],
-        slice_axis=cloud.slice_axis[filled],
-        slice_height=cloud.slice_height[filled],
+        cloud, slice=number[cloud.slice], slice_axis=cloud.slice_axis[filled], slice_height=cloud.slice_height[filled]
     )
     body = hull(cloud.points)
     assert enclosure(open_ended).part(Gap.CAPS) == np.inf

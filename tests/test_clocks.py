@@ -63,14 +63,7 @@ def test_a_log_past_midnight_is_imported(tmp_path, shape):
 
 
 @pytest.mark.parametrize(
-    ("row", "cell"),
-    [
-        (5, "25:00:00"),
-        (5, "10:00"),
-        (5, "13:00:00 PM"),
-        (0, "01-May-2026 10:00:00"),
-        (5, "x"),
-    ],
+    ("row", "cell"), [(5, "25:00:00"), (5, "10:00"), (5, "13:00:00 PM"), (0, "01-May-2026 10:00:00"), (5, "x")]
 )
 def test_other_times_are_named_with_the_way_out(tmp_path, row, cell):
     rows = [re.sub("^[^,]+", f"10:00:00.{k:03}", line) if k else line for k, line in enumerate(lines())]

@@ -6,19 +6,7 @@ import trimesh
 from mesh_files import assert_sound, save
 from sample_bodies import MESHES
 from scipy.spatial import ConvexHull
-from shapes import (
-    as_mesh,
-    ball,
-    box,
-    cube,
-    dented,
-    dimpled_box,
-    inscribed_radius,
-    letter_l,
-    moved,
-    pinhole,
-    rotation,
-)
+from shapes import as_mesh, ball, box, cube, dented, dimpled_box, inscribed_radius, letter_l, moved, pinhole, rotation
 
 import scan3d
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself, read_mesh

@@ -51,10 +51,7 @@ def test_a_child_draws_while_a_scan_compares_and_as_this_process_does_afterwards
     ("code", "sentence"),
     [
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", r"the renderer crashed \(SIGSEGV\)"),
-        (
-            "raise MemoryError('no room')",
-            r"the process that draws has failed \(MemoryError: no room\)",
-        ),
+        ("raise MemoryError('no room')", r"the process that draws has failed \(MemoryError: no room\)"),
         ("import sys; sys.exit(3)", r"the process that draws has failed \(exit code 3\)"),
         ("import time; time.sleep(60)", r"drawing took more than 0\.5 s"),  # the scene does not fit into the pipe
     ],

@@ -14,22 +14,8 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d import Plan
 from scan3d.geometry.sections import extent_along
-from scan3d.planning.heights import (
-    BEYOND,
-    FIRST_SLICES,
-    FIRST_TOGETHER,
-    cuts,
-    first_heights,
-    heights,
-    next_slices,
-)
-from scan3d.planning.plan import (
-    AIMED_SLOPE,
-    OPEN_FRACTION,
-    base_fractions,
-    base_line,
-    further_directions,
-)
+from scan3d.planning.heights import BEYOND, FIRST_SLICES, FIRST_TOGETHER, cuts, first_heights, heights, next_slices
+from scan3d.planning.plan import AIMED_SLOPE, OPEN_FRACTION, base_fractions, base_line, further_directions
 from scan3d.reconstruction.contacts import contacts
 from scan3d.simulation.scan import AxisScan
 from scan3d.surfaces import Gap, enclosure

@@ -196,10 +196,7 @@ def test_a_circle_by_other_classes(radius, gap, friction):
     def second_derivative(slope):
         return -center[0] * np.sin(slope) + center[1] * np.cos(slope)
 
-    for other in (
-        planar.Ellipse((radius, radius), center, 0.7),
-        SupportCurve(support, derivative, second_derivative),
-    ):
+    for other in (planar.Ellipse((radius, radius), center, 0.7), SupportCurve(support, derivative, second_derivative)):
         assert_same(planar.sweep(other, friction, base=base), swept)
 
 

@@ -37,7 +37,9 @@ def pushed(live, recording):
 @functools.cache
 def scanned(model, rod=None, noise=1e-4, **more):
     samples = 40 if model == "planar" else 10  # of many more sweeps
-    plan = scan3d.Plan(slices=2, sweeps=3, samples=samples, model=model, rod=rod, noise=noise, friction=(0.0, 0.4), **more)
+    plan = scan3d.Plan(
+        slices=2, sweeps=3, samples=samples, model=model, rod=rod, noise=noise, friction=(0.0, 0.4), **more
+    )
     recording = scan3d.simulate(scan3d.load_mesh(EGG), plan)
     # numbers without a grid, as of a converter, by which the batch widens the noise
     return replace(recording, position_m=recording.position_m + 1e-9 / 3)

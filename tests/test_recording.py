@@ -133,10 +133,7 @@ def changed(column, value):
         ("mz_Nm\n1\n", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, fx_N, fy_N; expected"),
         (HEADER.replace(",", ";") + f"\n{ROW.replace(',', ';')}\n", "is not a recording: its header lacks"),
         (f"{HEADER},fx_N\n{ROW},3\n", "its header has fx_N more than once; keep one column of each name"),
-        (
-            changed("x_m", "nan"),
-            r"log\.csv: line 3 has no value in column 'x_m', .* 1 of 2 rows; complete the table$",
-        ),
+        (changed("x_m", "nan"), r"log\.csv: line 3 has no value in column 'x_m', .* 1 of 2 rows; complete the table$"),
         (changed("qx", "1"), r"that of row 2 has the length 1\.414$"),
         (changed("sweep", "0.5"), r"log\.csv: line 3 has 0\.5 in column 'sweep', where a whole number is expected"),
     ],

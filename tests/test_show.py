@@ -18,15 +18,7 @@ from scan3d.pictures.parts import contact_sentence
 
 MISSING = ("libraries", "display")
 """Either the OpenGL libraries are missing, or VTK is set to open its window on an X server, which does not run."""
-_LIBRARIES = (
-    "libEGL.so.1",
-    "libEGL.so",
-    "libGL.so.1",
-    "libGL.so",
-    "libOpenGL.so.0",
-    "libGLX.so.0",
-    "libOSMesa.so.8",
-)
+_LIBRARIES = ("libEGL.so.1", "libEGL.so", "libGL.so.1", "libGL.so", "libOpenGL.so.0", "libGLX.so.0", "libOSMesa.so.8")
 
 
 def headless(**more):

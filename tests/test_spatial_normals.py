@@ -8,13 +8,7 @@ import pytest
 from scipy.optimize import root
 
 from planar.elastica import bend
-from scan3d.spatial.normals import (
-    Source,
-    Track,
-    along_sweeps,
-    angles,
-    frictionless,
-)
+from scan3d.spatial.normals import Source, Track, along_sweeps, angles, frictionless
 
 AXES, CENTRE = np.array([0.9, 0.675, 0.45]), np.array([0.0, 1.075, 0.0])
 

@@ -208,13 +208,7 @@ def by_beads(seeds: range, slices: int, noise: float, bead: float) -> int:
         name, mesh = any_body(seed)
         start = time.process_time()
         scan = scan3d.scan(
-            mesh,
-            model="spatial",
-            bead=bead * SIZE,
-            friction=(0.0, 0.4),
-            seed=seed,
-            slices=slices,
-            noise=noise,
+            mesh, model="spatial", bead=bead * SIZE, friction=(0.0, 0.4), seed=seed, slices=slices, noise=noise
         )
         scanned = time.process_time()
         found = reach(*as_measured(scan.recording, scan.cloud), surface=scan.surface)
