@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from matplotlib.path import Path as MatplotlibPath
 from sample_bodies import MESHES
-from shapes import letter_l
+from shapes import box, letter_l, moved
 from small_scans import undrawn
 
 import scan3d
@@ -23,8 +23,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import is_convex, runs_both_ways
 from scan3d.geometry.sections import slice_frame, slice_outlines
 from scan3d.pictures.parts import shown_sweep
-from tests.benchmarks.everyday import box as block
-from tests.benchmarks.everyday import plate
+from tests.robustness.everyday import cut, mesh_of
 
 FLAT = np.eye(3)
 
@@ -47,7 +46,7 @@ def area(polygon):
 )
 @pytest.mark.parametrize("height", [0.3, 0.4999])
 def test_sections_of_shells_are_those_of_their_union(places, areas, height):
-    mesh = trimesh.util.concatenate([block(1, 1, 1, *place) for place in places])
+    mesh = trimesh.util.concatenate([moved(box(), place) for place in places])
     (outlines,) = slice_outlines(mesh, FLAT, np.array([height]))
     assert sorted(map(area, outlines)) == pytest.approx(areas, rel=1e-12)
 
@@ -172,7 +171,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
     """With friction drawn anew for each sample nothing else tells of contacts that are off by a ten-thousandth of the rod."""
     angle = 2 * np.pi * np.arange(32) / 32
     outline = 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.where(np.arange(32) % 2, 0.978, 1.0)[:, None]
-    mesh = plate(outline, 10)
+    mesh = mesh_of(cut(outline, 10))
     assert mesh.is_volume
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=1, sweeps=6, friction=(0.0, 0.4), probing="off"))
     cloud = scan3d.reconstruct(recording)
@@ -183,7 +182,7 @@ def test_rods_across_shallow_dents_are_found_by_contacts_that_they_have_passed()
 @pytest.mark.slow
 def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing():
     """The first row in which a rod touched two legs of a table gave a contact, a quarter of the rod's length off."""
-    mesh = trimesh.util.concatenate([block(4, 4, 8, x, y, 0) for x in (-16, 16) for y in (-11, 11)])
+    mesh = trimesh.util.concatenate([moved(box(4, 4, 8), (x, y, 0)) for x in (-16, 16) for y in (-11, 11)])
     rod = scan3d.Rod.of_length(0.0505)
     plan = scan3d.Plan(slices=1, sweeps=6, samples=64, friction=(0.0, 0.4), rod=rod, probing="off")
     recording = scan3d.simulate(mesh, plan)

@@ -306,9 +306,9 @@ EVERYDAY: dict[str, Body] = {
 }
 
 
-def mesh_of(name: str) -> trimesh.Trimesh:
-    """The body of a name, closed and outward, in mm."""
-    made = EVERYDAY[name].make().to_mesh64()
+def mesh_of(body: str | Manifold) -> trimesh.Trimesh:
+    """A body, given by its name or as it is made, closed and outward, in mm."""
+    made = (EVERYDAY[body].make() if isinstance(body, str) else body).to_mesh64()
     mesh = trimesh.Trimesh(np.array(made.vert_properties)[:, :3], np.array(made.tri_verts), process=False)
     mesh.units = "mm"
     return mesh
