@@ -1,6 +1,7 @@
 """The resolution of recorded numbers, from decimal digits to full precision, and the noise of the clamp's poses."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -115,21 +116,19 @@ def test_the_certificate_allows_for_the_digits(recording, digits):
     analysis = analyse(log, mesh, "hull")
     assert analysis.warnings == ()
     assert analysis.comparison.hausdorff <= analysis.certificate.bound
-    assert analysis.certificate.bound < 1.2 * analyse(recording, mesh, "hull").certificate.bound
+    assert analysis.certificate.bound < 1.2 * analyse(recording, method="hull").certificate.bound
 
 
 SD_M = 20e-6
 BODY = scan3d.load_mesh("meshes/cube.stl")
 
 
-def plan_of(noise):
-    return scan3d.Plan(slices=8, samples=30, friction=0.3, rod=scan3d.Rod(0.06, 1.9e-4, 0.0003), noise=noise)
-
-
+@functools.cache
 def scanned(model, noise):
     """A recording of a cube in slices, or of an ellipsoid in space, and the body."""
     if model == "planar":
-        return scan3d.simulate(BODY, plan_of(noise)), BODY
+        rod = scan3d.Rod(0.06, 1.9e-4, 0.0003)
+        return scan3d.simulate(BODY, scan3d.Plan(slices=8, samples=30, friction=0.3, rod=rod, noise=noise)), BODY
     ellipsoid = trimesh.creation.icosphere(5)
     ellipsoid.apply_scale(1000 * LENGTH * np.array(SEMI_AXES))
     return recorded(0.3, directions=5, heights=6, samples=128, noise=(noise, noise))[0], ellipsoid
@@ -146,6 +145,11 @@ def places(recording):
     return without_normals(recording, readings(recording)) if recording.six_axis else scan3d.reconstruct(recording)
 
 
+@functools.cache
+def exact_places(model):
+    return places(scanned(model, 0.0)[0])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
@@ -153,7 +157,7 @@ def test_the_covariances_hold_and_so_does_the_bound(model, noise):
     """Contacts, in space those of the rod's centre line, against those of exact reactions at exact poses."""
     recording, body = scanned(model, noise)
     recording = jittering(recording, 1)
-    exact, cloud = places(scanned(model, 0.0)[0]), places(recording)
+    exact, cloud = exact_places(model), places(recording)
     _, rows, of_exact = np.intersect1d(cloud.row, exact.row, return_indices=True)
     assert len(rows) > 500
     off = cloud.points[rows] - exact.points[of_exact]
@@ -168,8 +172,8 @@ def test_the_covariances_hold_and_so_does_the_bound(model, noise):
 @pytest.mark.slow
 def test_without_the_statement_the_same_poses_are_trusted_too_far():
     """The test above can fail: unstated, the jitter leaves few contacts in their regions."""
-    exact, noisy = (scan3d.simulate(BODY, plan_of(noise)) for noise in (0.0, 1e-5))
-    exact, cloud = places(exact), places(dataclasses.replace(jittering(noisy, 1), noise_pose_m=0.0))
+    noisy = jittering(scanned("planar", 1e-5)[0], 1)
+    exact, cloud = exact_places("planar"), places(dataclasses.replace(noisy, noise_pose_m=0.0))
     _, rows, of_exact = np.intersect1d(cloud.row, exact.row, return_indices=True)
     off = cloud.points[rows] - exact.points[of_exact]
     assert (np.linalg.norm(off, axis=1) > 5 * cloud.place_sd[rows]).mean() > 0.5
