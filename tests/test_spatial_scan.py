@@ -22,7 +22,7 @@ def cube():
 def scanned(tmp_path_factory):
     """The folder of a scan with all rounds of aimed sweeps."""
     out = tmp_path_factory.mktemp("space") / "out"
-    few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull", "--quiet"]
+    few = ["--slices", "2", "--sweeps", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull", "--quiet"]
     with undrawn():
         assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
     return out

@@ -57,7 +57,7 @@ def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
 @pytest.mark.parametrize("noise", [1e-4, *(pytest.param(noise, marks=pytest.mark.trust) for noise in (0.0, 1e-3))])
 def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     truth, larger = ball(20.0), ball(20.15)
-    plan = scan3d.Plan(slices=8, samples=40, friction=0.3, noise=noise, rod=WIRE.without_thickness())
+    plan = scan3d.Plan(slices=6, samples=24, friction=0.3, noise=noise, rod=WIRE.without_thickness())
     log = replace(scan3d.simulate(larger, plan), rod=WIRE)
     thick = analyse(log, truth, model="planar")
     assert thick.warnings == ()
