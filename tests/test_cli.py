@@ -280,21 +280,9 @@ def test_the_command_line_precedes_the_file_and_the_file_the_defaults(call, tmp_
 
 
 ALL = Settings(
-    slices=4,
-    spacing="adaptive",
-    axis="1,1,0",
-    sweeps="5",
-    samples=9,
-    friction="0.1:0.2",
-    rod="steel:0.5x100",
-    clearance=0.2,
-    tolerance=0.001,
-    noise=1e-05,
-    seed=3,
-    unit="mm",
-    method="hull",
-    hull=True,
-)
+    slices=4, spacing="adaptive", axis="1,1,0", sweeps="5", samples=9, friction="0.1:0.2", rod="steel:0.5x100", clearance=0.2,
+    tolerance=0.001, noise=1e-05, seed=3, unit="mm", method="hull", hull=True,
+)  # fmt: skip
 
 
 @pytest.mark.slow
@@ -326,11 +314,6 @@ def test_a_file_may_use_the_types_of_toml(tmp_path):
     assert np.allclose(plan.axis, [1, 1, 0])
     path.write_text("friction = 0.25\n")
     assert settings({}, path).plan().friction == 0.25
-
-
-def test_a_file_from_windows(tmp_path):
-    (tmp_path / "a.toml").write_bytes("\ufeffslices = 5\r\n".encode())
-    assert settings({}, tmp_path / "a.toml") == Settings(slices=5)
 
 
 def test_signatures_in_python_show_every_setting():
