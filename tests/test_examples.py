@@ -67,7 +67,7 @@ def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     monkeypatch.chdir(EXAMPLES)
     notebook = json.loads((EXAMPLES / "from_mesh_to_surface.ipynb").read_text(encoding="utf-8"))
     code = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    exec("\n".join(code).replace("slices=24", "slices=6"), {})
+    exec("\n".join(code).replace("slices=24", "slices=6, samples=16"), {})
     within, truth = map(float, re.findall(r"([\d.e-]+) mm", capsys.readouterr().out.splitlines()[-1]))
     assert 0 < truth < within
 
@@ -163,7 +163,8 @@ def test_mujoco_log() -> None:
 
 
 @pytest.mark.slow
-def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_methods_by_meshes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, samples=16))
     meshes = EXAMPLES.parent / "meshes"
     example("methods_by_meshes").main([str(meshes / "cube.stl"), "--slices", "8", "--spacing", "cosine"])
     header, rule, cube = capsys.readouterr().out.splitlines()

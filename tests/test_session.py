@@ -208,7 +208,7 @@ def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
 
 @pytest.mark.slow
 def test_next_writes_no_file_where_no_sweep_stays_above_the_floor(egg, tmp_path, capsys, no_pictures):
-    plan = scan3d.Plan(slices=5, samples=24, axis="x", rod=Rod.of_length(0.08))
+    plan = scan3d.Plan(slices=3, samples=16, axis="x", rod=Rod.of_length(0.08))
     scan3d.write_recording(scan3d.simulate(egg, plan), tmp_path / "log.csv")
     assert main(["reconstruct", str(tmp_path / "log.csv"), "--out", str(tmp_path / "x"), *HULL]) == 0
     run = ["next", str(tmp_path / "x"), "--out", str(tmp_path / "p.csv"), "--around", "cylinder:60x60"]
