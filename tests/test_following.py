@@ -63,6 +63,7 @@ def test_touches_at_a_fixed_base_are_read_row_by_row():
 AXES, LENGTH = np.array([0.9, 0.675, 0.45]), 0.06
 
 
+@pytest.mark.slow
 def test_logs_of_two_moments_in_space_are_imported(tmp_path):
     heights, n, noise = np.array([-0.2, 0.05, 0.25]), 80, 1e-4
     position = np.zeros((3, n, 3))

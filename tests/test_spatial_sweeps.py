@@ -92,6 +92,7 @@ def scene(request):
     return past(*values)
 
 
+@pytest.mark.slow
 def test_sweeps_end_where_the_contact_comes_too_near():
     rng = np.random.default_rng(5)
     body, _ = cuboid(0.03, rng)
