@@ -176,7 +176,7 @@ def undiagnosed(monkeypatch):
     """What contradicts the model does not depend on the search for its cause, which takes most of the time."""
     from scan3d.reconstruction import Diagnosis, agreement
 
-    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
+    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", "unknown"))
 
 
 @pytest.fixture

@@ -85,6 +85,11 @@ PLANAR = {
     "fx and fy exchanged": ("fx-fy-exchanged", None, "fx and fy are exchanged"),
     "moment in N mm": ("moment-unit", None, "the moment is in N mm, not in N m"),
     "forces in mN": ("force-unit", None, "the forces are in mN, not in N"),
+    "forces in mN and moment in mN m": (
+        "wrench-unit",
+        None,
+        "the forces are in mN, not in N, and the moment is in mN m",
+    ),
     "fx off by 1 %": ("not-tared", None, "force and moment were not tared"),
     "wrench of the other sign": ("wrench-sign", None, "opposite sign (that of the rod on the clamp)"),
     "wrench doubled": ("stiffness", 2.0, "2 times as stiff"),
@@ -99,7 +104,14 @@ PLANAR = {
 }
 
 
-QUICK_IN_PLANE = ("moment in N mm", "fx off by 1 %", "fy 10 % too large", "60 stuck rows", "rod 10 % too long")
+QUICK_IN_PLANE = (
+    "moment in N mm",
+    "forces in mN and moment in mN m",
+    "fx off by 1 %",
+    "fy 10 % too large",
+    "60 stuck rows",
+    "rod 10 % too long",
+)
 
 
 @pytest.mark.slow

@@ -148,7 +148,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     if alone:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
-        diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
+        diagnosis = Diagnosis(code, first.value, unit, f"most likely {cause.format(first.message)}", 1.0)
     if left is not None and left.too_many:
         text = (
             f"{share(left.share)} of the rows with a force contradict their neighbours by more than the stated noise: more "

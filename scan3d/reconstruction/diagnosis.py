@@ -60,15 +60,16 @@ _FACTORS: dict[str, tuple[tuple[float, ...], str]] = {
     "fx-mz-sign": ((-1, 1, 1, 1, 1, -1), "fx and mz have the opposite signs"),
     "left-handed": ((1, 1, -1, -1, -1, 1), "the z axis is reversed, as in a left-handed frame"),
     "force-unit": ((1e-3, 1e-3, 1e-3, 1, 1, 1), "the forces are in mN, not in N"),
+    "wrench-unit": ((1e-3,) * 6, "the forces are in mN, not in N, and the {moments} in mN m, not in N m"),
     "moment-unit": ((1, 1, 1, 1e-3, 1e-3, 1e-3), "the {moments} in N mm, not in N m"),
 }
 # Gains: the channels that are recorded too large by one unknown factor; the moment about the rod vanishes.
-_CHECK = " are recorded {0:.3g} times too large: check the sensor's gains"
+_CHECK = " are recorded {0} times too large: check the sensor's gains"
 _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
     "stiffness": (
         (0, 1, 2, 3, 4, 5),
-        "the rod is {0:.3g} times as stiff as stated, or force and moment are recorded {0:.3g} times too large (both have the "
-        "same effect): calibrate the stiffness",
+        "the rod is {0} times as stiff as stated, or force and moment are recorded {0} times too large (both have the same "
+        "effect): calibrate the stiffness",
     ),
     "moment-scale": ((3, 4, 5), f"the moments{_CHECK}"),
     "force-scale": ((0, 1, 2), f"the forces{_CHECK}"),
@@ -91,10 +92,10 @@ class Diagnosis(NamedTuple):
     value: float | None
     """Its estimated size in `unit`; None where it has none."""
     unit: str
-    explains: float
-    """Part of the root mean square misfit that the correction of the fault removes."""
     message: str
     """What it is and what to do, as the end of a sentence."""
+    explains: float = 0.0
+    """Part of the root mean square misfit that the correction of the fault removes."""
     alike: tuple[str, ...] = ()
     """Codes of the faults that ``several`` stands for."""
     interval: tuple[float, float] | None = None
@@ -153,26 +154,31 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
         (n, 6) of the recording, dimensionless; (k, 6) those with a force; and rows in which the log was stuck.
     """
     spatial, rod, axes, none = model == "spatial", recording.rod, np.eye(3), np.empty((0, 3))
-    channels = [0, 1, 2, 3, 4, 5] if spatial else [0, 1, 5]
-    found = []
-    for code, (factors, text) in _FACTORS.items():
-        if any(factors[k] != 1 for k in channels):
-            named = _named(code, None, "", text.format(moments="moments are" if spatial else "moment is"))
-            found.append(known(Undone(np.diag(np.array(factors, dtype=float))), named))
-    exchanged = Undone(np.eye(6)[[1, 0, 2, 3, 4, 5]])
-    found.append(known(exchanged, _named("fx-fy-exchanged", None, "", "fx and fy are exchanged")))
+    channels, moments = ([*range(6)], "moments are") if spatial else ([0, 1, 5], "moment is")
+    found = [
+        known(Undone(np.diag(np.array(factors, dtype=float))), code, text.format(moments=moments))
+        for code, (factors, text) in _FACTORS.items()
+        if any(factors[k] != 1 for k in channels)
+    ]
+    found.append(known(Undone(np.eye(6)[[1, 0, 2, 3, 4, 5]]), "fx-fy-exchanged", "fx and fy are exchanged"))
     turned = np.zeros((len(wrench), 6, 6))
     turned[:, :3, :3] = turned[:, 3:, 3:] = recording.axes()
     text = 'force and moment have their components in the frame of the poses: state wrench_in = "world" in the map'
-    found.append(known(Undone(turned), _named("wrench-in-world", None, "", text)))
+    found.append(known(Undone(turned), "wrench-in-world", text))
     hanging = hanging_weight(recording, wrench)
     found += _zeros(recording, spatial, wrench, hanging)
     found.append(_late(recording))
     found += _rods(recording, spatial, wrench, hanging) if rod.is_simple else []
+    factors = np.log(np.geomspace(0.3, 1 / 0.3, 13))[::-1, None]  # of 1 as well, near which small ones are found
     for code, (scaled, text) in _GAINS.items():
         if spatial or len(scaled) > 1 or scaled[0] in (0, 1):  # in a plane mz is the only moment
-            found.append(_gain(code, np.isin(np.arange(6), scaled), text))
-    found.append(_length())
+            undone = partial(_of_gain, np.isin(np.arange(6), scaled))
+            found.append(_sized(code, "times", text, factors, undone))
+    text = "the rod is {0} times as long as stated: measure its free length"
+    powers = np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+    # contacts near the tip count as tip contacts, so that the misfit over the length is one of steps
+    lengths = np.log(np.linspace(0.7, 1.4, 47))[:, None]
+    found.append(_sized("length", "times", text, lengths, lambda long: Undone(np.diag(long**powers), length=long)))
     if len(stuck):
         found.append(stuck_rows(stuck, wrench))
     # in rod lengths
@@ -186,13 +192,36 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
     return [*found, _sensor(axes, axes, _frame_starts(felt), rod)]
 
 
-def _named(code: str, value: float | None, unit: str, message: str) -> Diagnosis:
-    return Diagnosis(code, value, unit, 0.0, message)
+def _of_gain(scaled: Mask, size: float) -> Undone:
+    """Channels (6,) that are marked are recorded too large by a factor."""
+    return Undone(np.diag(np.where(scaled, 1 / size, 1.0)))
 
 
-def known(undone: Undone, named: Diagnosis, cost: int = 0) -> Cause:
+def known(undone: Undone, code: str, text: str, value: float | None = None, unit: str = "", cost: int = 0) -> Cause:
     """A fault that has no numbers to be estimated."""
-    return Cause(np.empty((1, 0)), lambda _: undone, lambda _: named, cost)
+    return Cause(np.empty((1, 0)), lambda _: undone, lambda _: Diagnosis(code, value, unit, text), cost)
+
+
+def _sized(
+    code: str,
+    unit: str,
+    text: str,
+    starts: Array,
+    undone: Callable[[float], Undone],
+    scale: float = 1.0,
+    told: Callable[[float], str] = "{:.3g}".format,
+    limit: float = _LARGEST_SCALE,
+    family: str = "",
+) -> Cause:
+    """A fault of one positive size, of which the number is the logarithm over a scale."""
+
+    def size(numbers: Array) -> float:
+        return scale * float(np.exp(min(numbers[0], 2.0)))
+
+    def named(numbers: Array) -> Diagnosis:
+        return Diagnosis(code, size(numbers), unit, text.format(told(size(numbers))))
+
+    return Cause(starts, lambda numbers: undone(size(numbers)), named, 1, limit, family)
 
 
 def stuck_rows(stuck: Index, wrench: Array) -> Cause:
@@ -203,7 +232,7 @@ def stuck_rows(stuck: Index, wrench: Array) -> Cause:
         f"sensor or log was stuck: in {len(stuck)} rows force and moment repeat those of the row before though the clamp "
         "moves; leave these rows out"
     )
-    return known(Undone(zero=zero), _named("stick", float(len(stuck)), "rows", text))
+    return known(Undone(zero=zero), "stick", text, float(len(stuck)), "rows")
 
 
 def hanging_weight(recording: Recording, wrench: Array) -> Array | None:
@@ -220,38 +249,31 @@ def hanging_weight(recording: Recording, wrench: Array) -> Array | None:
 
 def _zeros(recording: Recording, spatial: bool, wrench: Array, hanging: Array | None) -> list[Cause]:
     """What the sensor shows at the starts of the sweeps, before the rod touches, and that it is not zero."""
-    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
+    rod, (_, first, sweep) = recording.rod, np.unique(recording.sweep, return_index=True, return_inverse=True)
     start = wrench[first]
     zero, ends = np.median(start, axis=0), np.percentile(start, [2.5, 97.5], axis=0)
     linear = np.polynomial.polynomial.polyfit(first, start, min(len(first) - 1, 1))
     steady = np.vander(np.arange(len(wrench)), len(linear), increasing=True) @ linear
-    value, unit, text = _of_zero(zero, recording.rod, spatial)
-    untared = _named(
-        "not-tared",
-        value,
-        unit,
-        f"force and moment were not tared: at the starts of the sweeps the sensor shows {text}; let the import take off what "
-        "it shows in the air ([tare])",
+    untared = (
+        "force and moment were not tared: at the starts of the sweeps the sensor shows {}; let the import take off what it "
+        "shows in the air ([tare])"
     )
-    value, unit, text = _of_zero(ends[1] - ends[0], recording.rod, spatial)
-    drifts = _named(
-        "drift",
-        value,
-        unit,
-        f"the zero of force and moment drifts from sweep to sweep, in all by {text}, or a weight turns with the clamp: let "
-        "each sweep begin in the air, and let the import take off the drift ([tare])",
+    drifts = (
+        "the zero of force and moment drifts from sweep to sweep, in all by {}, or a weight turns with the clamp: let each "
+        "sweep begin in the air, and let the import take off the drift ([tare])"
     )
-    if hanging is not None:
-        size = float(np.linalg.norm(hanging)) * recording.rod.force_unit_N
-        text = f"a weight of {force(size)} hangs at the sensor and turns with the clamp: let each sweep begin in the air, and "
-        drifts = _named("weight", size, "N", text + "let the import take it off ([tare])")
-    each = start[sweep.reshape(-1)]
-    jumps = _jumping(recording, wrench, first, spatial)
-    return [
-        known(Undone(zero=zero), untared),
-        *jumps,
-        *(known(Undone(zero=zero), drifts, 2) for zero in (steady, each)),
-    ]
+    found = [_zero("not-tared", zero, zero, rod, spatial, untared), *_jumping(recording, wrench, first, spatial)]
+    for values in (steady, start[sweep.reshape(-1)]):
+        cause = _zero("drift", values, ends[1] - ends[0], rod, spatial, drifts, 2)
+        if hanging is not None:
+            size = float(np.linalg.norm(hanging)) * rod.force_unit_N
+            text = (
+                f"a weight of {force(size)} hangs at the sensor and turns with the clamp: let each sweep begin in the air, "
+                "and let the import take it off ([tare])"
+            )
+            cause = known(Undone(zero=values), "weight", text, size, "N", 2)
+        found.append(cause)
+    return found
 
 
 def _jumping(recording: Recording, wrench: Array, first: Index, spatial: bool) -> list[Cause]:
@@ -276,35 +298,23 @@ def _jumping(recording: Recording, wrench: Array, first: Index, spatial: bool) -
     edges = [0, *(after + 1).tolist(), len(begins)]
     levels = np.array([np.median(start[a:b], axis=0) for a, b in pairwise(edges)])
     zero = levels[np.searchsorted(rows, np.arange(len(wrench)), side="right")]
-    largest = levels[1:] - levels[:-1]
-    value, unit, text = _of_zero(largest[np.abs(largest).max(axis=1).argmax()], recording.rod, spatial)
-    at = ", ".join(str(row + 1) for row in rows)
+    steps = np.diff(levels, axis=0)
     text = (
-        f"the zero of force and moment jumps in row {at}, by up to {text}: the sensor was tared again; import the table, which "
-        "takes off the zero of each part, or cut the log there"
+        f"the zero of force and moment jumps in row {', '.join(str(row + 1) for row in rows)}, by up to {{}}: the sensor was "
+        "tared again; import the table, which takes off the zero of each part, or cut the log there"
     )
-    return [known(Undone(zero=zero), _named("zero-jumps", value, unit, text))]
+    largest = steps[np.abs(steps).max(axis=1).argmax()]
+    return [_zero("zero-jumps", zero, largest, recording.rod, spatial, text)]
 
 
-def _of_zero(wrench: Array, rod: Rod, spatial: bool) -> tuple[float, str, str]:
-    """The size of a zero (6,) that is off, its unit, and its components in words."""
-    newton, newton_metres = wrench[:3] * rod.force_unit_N, wrench[3:] * rod.moment_unit_Nm
+def _zero(code: str, zero: Array, size: Array, rod: Rod, spatial: bool, text: str, cost: int = 0) -> Cause:
+    """A zero (6,) or (n, 6) that is off, with the size (6,) that the text tells."""
+    newton, newton_metres = size[:3] * rod.force_unit_N, size[3:] * rod.moment_unit_Nm
     shown = (newton, newton_metres) if spatial else (newton[:2], newton_metres[2:])
-    text = f"{force(*shown[0], digits=2)} and {moment(*shown[1], digits=2)}"
-    if np.linalg.norm(wrench[3:]) > np.linalg.norm(wrench[:3]):
-        return float(np.linalg.norm(newton_metres)), "N m", text
-    return float(np.linalg.norm(newton)), "N", text
-
-
-def _gain(code: str, scaled: Mask, text: str) -> Cause:
-    """A wrong gain of the channels (6,) that are marked; its number is the logarithm of the factor that undoes it."""
-
-    def named(numbers: Array) -> Diagnosis:
-        factor = float(np.exp(-numbers[0]))
-        return _named(code, factor, "times", text.format(factor))
-
-    starts = np.log(np.geomspace(0.3, 1 / 0.3, 13))[:, None]  # 1 among the factors, near which small ones are found
-    return Cause(starts, lambda n: Undone(np.diag(np.exp(n[0] * scaled))), named, 1, _LARGEST_SCALE)
+    by_moment = np.linalg.norm(size[3:]) > np.linalg.norm(size[:3])
+    value, unit = (newton_metres, "N m") if by_moment else (newton, "N")
+    text = text.format(f"{force(*shown[0], digits=2)} and {moment(*shown[1], digits=2)}")
+    return known(Undone(zero=zero), code, text, float(np.linalg.norm(value)), unit, cost)
 
 
 def _late(recording: Recording) -> Cause:
@@ -319,7 +329,7 @@ def _late(recording: Recording) -> Cause:
             f"by position_mm = [{1000 * way:.3g}, 0, 0] under [clamp], which only sweeps at another speed tell from it"
         )
         value, unit = (way / speed, "s") if speed else (1000 * way, "mm")
-        return _named("delay", value, unit, text)
+        return Diagnosis("delay", value, unit, text)
 
     starts = np.array([[-0.003], [-0.03], [0.003], [0.03]])
     return Cause(starts, lambda n: Undone(late=float(n[0])), named, 1)
@@ -334,86 +344,66 @@ def _rods(recording: Recording, spatial: bool, wrench: Array, hanging: Array | N
     down = recording.axes() @ gravity
     directions, which = np.unique(down.round(9), axis=0, return_inverse=True)
 
-    def curvature(n: Array) -> tuple[float, float, float]:
-        about_z, about_x = (float(part) / rod.length_m for part in np.pad(n, (0, 2 - count)))
-        return about_z, about_x, 0.0
+    def curvature(n: Array) -> Array:
+        return np.pad(n, (0, 3 - count)) / rod.length_m
 
-    def weight(n: Array) -> float:
-        return _TENTH * float(np.exp(min(n[0], 2.0))) * rod.force_unit_N
+    def of_curvature(n: Array) -> Diagnosis:
+        value = curvature(n)
+        text = f"curvature_per_m = {_list(value) if spatial else f'{value[0]:.3g}'}"
+        text = f"the free rod is curved: hold it against a straight edge, and state {text}"
+        return Diagnosis("curvature", float(np.linalg.norm(value) if spatial else value[0]), "1/m", text)
 
     def curved(n: Array) -> Undone:
-        return Undone(rod=replace(rod, curvature_per_m=curvature(n) if spatial else curvature(n)[0]))
+        about_z, about_x, twist = curvature(n).tolist()
+        return Undone(rod=replace(rod, curvature_per_m=(about_z, about_x, twist) if spatial else about_z))
 
-    def heavy(n: Array, tared: bool) -> Undone:
-        found = replace(rod, weight_N=weight(n))
+    def heavy(weight: float, tared: bool) -> Undone:
+        found = replace(rod, weight_N=weight)
         free = np.concatenate(free_reactions(found.in_space(), directions.T)).T[which.reshape(-1)]
         return Undone(zero=-free * tared, rod=found, air=free)
 
-    def of_curvature(n: Array) -> Diagnosis:
-        value = np.array(curvature(n)[:count])
-        text = f"curvature_per_m = {_list(np.array(curvature(n))) if spatial else f'{value[0]:.3g}'}"
-        text = f"the free rod is curved: hold it against a straight edge, and state {text}"
-        return _named("curvature", float(np.linalg.norm(value)) if spatial else float(value[0]), "1/m", text)
-
-    def of_weight(n: Array, tared: bool) -> Diagnosis:
-        text = (
-            f"its weight of {force(weight(n))} bends the rod: weigh it, and state weight_N, and [gravity] with direction = "
+    def weight(tared: bool) -> str:
+        return (
+            "its weight of {} bends the rod: weigh it, and state weight_N, and [gravity] with direction = "
             f"{_list(gravity.round(3))} and tared = {str(tared).lower()}"
         )
-        return _named("weight", weight(n), "N", text)
 
-    def tapered(n: Array) -> tuple[Rod, float]:
-        part = float(np.exp(n[0]))
-        return replace(thick, tip_diameter_m=part * thick.diameter_m), part
+    def tapered(part: float) -> Undone:
+        return Undone(rod=replace(thick, tip_diameter_m=part * thick.diameter_m))
 
-    def yielding(n: Array) -> tuple[Rod, float]:
-        compliance = _TENTH * float(np.exp(min(n[0], 2.0))) / rod.moment_unit_Nm
-        return replace(rod, clamp_compliance_rad_per_Nm=compliance), compliance
+    def yielding(compliance: float) -> Undone:
+        return Undone(rod=replace(rod, clamp_compliance_rad_per_Nm=compliance))
 
-    def of_one(
-        code: str, unit: str, text: str, changed: Callable[[Array], tuple[Rod, float]]
-    ) -> tuple[Callable[[Array], Undone], Callable[[Array], Diagnosis]]:
-        def named(n: Array) -> Diagnosis:
-            return _named(code, changed(n)[1], unit, text.format(changed(n)[1]))
-
-        return lambda n: Undone(rod=changed(n)[0]), named
-
-    taper = "the rod tapers to {:.3g} of its diameter: measure it at the tip, and state tip_diameter_m"
-    gives = "the clamp gives by {:.3g} rad per N m: load it by a known moment, and state clamp_compliance_rad_per_Nm"
+    taper = "the rod tapers to {} of its diameter: measure it at the tip, and state tip_diameter_m"
+    gives = "the clamp gives by {} rad per N m: load it by a known moment, and state clamp_compliance_rad_per_Nm"
     arcs = np.kron(np.eye(count), np.array([[-0.02], [-0.3], [0.02], [0.3]]))  # curvatures in 1/L
-    found = [
-        Cause(np.log([[0.5], [0.7], [0.95]]), *of_one("taper", "times", taper, tapered), 1, _LARGEST_SCALE, "rod"),
-        Cause(arcs, curved, of_curvature, count, _LARGEST_SCALE, "rod"),
-        Cause(_SMALL[:1], *of_one("clamp-compliance", "rad/(N m)", gives, yielding), 1, _LARGEST_LOG, "rod"),
-    ]
-    # what a sensor shows in the air that was not tared is the weight
+    sized = partial(_sized, family="rod")
     in_air = float(np.median(np.linalg.norm(wrench[np.unique(recording.sweep, return_index=True)[1], :3], axis=1)))
-    shown = in_air > max(2 * recording.noise.of_reactions(rod)[0], _LEAST_WEIGHT)
+    found = [
+        sized("taper", "times", taper, np.log([[0.5], [0.7], [0.95]]), tapered),
+        Cause(arcs, curved, of_curvature, count, _LARGEST_SCALE, "rod"),
+        sized(
+            "clamp-compliance",
+            "rad/(N m)",
+            gives,
+            _SMALL[:1],
+            yielding,
+            _TENTH / rod.moment_unit_Nm,
+            limit=_LARGEST_LOG,
+        ),
+    ]
     if hanging is not None:
-        number = np.log([np.linalg.norm(hanging) / _TENTH])
-        found.append(known(heavy(number, tared=False), of_weight(number, tared=False), 1))
-    elif spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
-        for tared in (True, False) if shown else (True,):
-            undone, named = partial(heavy, tared=tared), partial(of_weight, tared=tared)
-            starts = _SMALL if tared else np.vstack([_SMALL, np.log(in_air / _TENTH)])
-            found.append(Cause(starts, undone, named, 1, _LARGEST_LOG, "rod"))
+        size = float(np.linalg.norm(hanging)) * rod.force_unit_N
+        return [*found, known(heavy(size, False), "weight", weight(False).format(force(size)), size, "N", 1)]
+    if not spatial and np.abs(down[:, :2]).max() <= np.abs(down[:, 2]).max():  # it hardly bends the rod in its slices
+        return found
+    # what a sensor shows in the air that was not tared is the weight
+    shown = in_air > max(2 * recording.noise.of_reactions(rod)[0], _LEAST_WEIGHT)
+    for tared in (True, False) if shown else (True,):
+        starts, undone = _SMALL if tared else np.vstack([_SMALL, np.log(in_air / _TENTH)]), partial(heavy, tared=tared)
+        unit = _TENTH * rod.force_unit_N
+        found.append(sized("weight", "N", weight(tared), starts, undone, unit, force, _LARGEST_LOG))
     return found
-
-
-def _length() -> Cause:
-    """A rod of another length; the number is the logarithm of the true one over the stated one."""
-
-    def undone(numbers: Array) -> Undone:
-        length = float(np.exp(numbers[0]))
-        return Undone(np.diag(length ** np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])), length=length)
-
-    def named(numbers: Array) -> Diagnosis:
-        factor = float(np.exp(numbers[0]))
-        text = f"the rod is {factor:.3g} times as long as stated: measure its free length"
-        return _named("length", factor, "times", text)
-
-    # contacts near the tip count as tip contacts, so that the misfit over the length is one of steps
-    return Cause(np.log(np.linspace(0.7, 1.4, 47))[:, None], undone, named, 1, _LARGEST_SCALE)
 
 
 def _sensor(turns: Array, places: Array, starts: Array, rod: Rod) -> Cause:
@@ -464,7 +454,7 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
     distance = float(np.linalg.norm(millimetres))
     position = f"position_mm = {_list(millimetres)}"
     if not vector.any():
-        return _named(
+        return Diagnosis(
             "moment-not-moved",
             distance,
             "mm",
@@ -483,10 +473,10 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
         text = (
             f"{text} under [sensor] for a first look, and calibrate: noise hides some degrees of a turn about the rod"
         )
-        return _named("turned-and-moved", degrees, "deg", text)
+        return Diagnosis("turned-and-moved", degrees, "deg", text)
     where = _ABOUT[axis] if single else "about an axis across several of the clamp's"
     text = f"{turned} {where}: {state} under [sensor], or calibrate"
-    return _named(f"turned-{'xyz'[axis]}" if single else "turned", degrees, "deg", text)
+    return Diagnosis(f"turned-{'xyz'[axis]}" if single else "turned", degrees, "deg", text)
 
 
 def _list(values: Array) -> str:
@@ -517,7 +507,6 @@ _UNKNOWN = Diagnosis(
     "unknown",
     None,
     "",
-    0.0,
     "no single fault explains the contradiction: check signs, axes and units, the tare of force and moment, that the rod is "
     "straight, uniform and light and its clamp rigid, and that the body is convex",
 )
@@ -542,7 +531,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     recorded = sample.left(Undone())
     before = _mean_square(recorded.excess)
     if before <= _NO_MISFIT or (
-        recorded.level <= before and _Trial(known(Undone(), _UNKNOWN), np.empty(0), recorded).fits(before)
+        recorded.level <= before and _Trial(known(Undone(), "unknown", ""), np.empty(0), recorded).fits(before)
     ):
         return _UNKNOWN
     stuck = _contradicting(stuck, wrench, sample)
@@ -581,7 +570,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     text = (
         f"{len(alike)} faults explain it alike, and what each asks for tells them apart: {'; or '.join(alike.values())}"
     )
-    return Diagnosis("several", None, "", explains, text, tuple(alike))
+    return Diagnosis("several", None, "", text, explains, tuple(alike))
 
 
 def _second_contact(along_force: Array) -> Diagnosis:
@@ -591,7 +580,6 @@ def _second_contact(along_force: Array) -> Diagnosis:
         "second-contact",
         percent,
         "%",
-        0.0,
         f"most likely either a second contact, or channels that were exchanged or logged at different times: force and moment "
         f"of {share(percent / 100)} of the rows are not those of a single force; look for what else the rod touches",
     )
