@@ -150,14 +150,6 @@ def wrench_matrix(turn: Array, place: Array) -> Array:
     return np.block([[turn, np.zeros((3, 3))], [cross @ turn, turn]])
 
 
-def displaced(force: Array, moment: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
-    """Force and moment (..., 3) after a small turn (..., 3) and a shift (..., 3) of their frame.
-
-    The turn is a rotation vector, which counts to the first order.
-    """
-    return force + np.cross(turn, force), moment + np.cross(turn, moment) + np.cross(shift, force)
-
-
 GAINS = tuple(f"gain_{channel}" for channel in ("fx", "fy", "fz", "mx", "my", "mz"))
 """What is added to the channels of a sensor, as multiples of what they show less the zero."""
 DEFAULT_ACCURACY = 0.005
@@ -253,32 +245,35 @@ class RigUncertainty:
     def _plain(self) -> tuple[Any, ...]:
         return self.names, self.exact, self.covariance.tobytes(), self.gains.tobytes(), self.sensor, self.relative
 
-    def by_gains(self, length_m: float) -> Array:
-        """(g, 6, 6) what is added to wrenches in the clamp's frame, over a length, by a gain of 1 of each channel, or of each
-        channel by each."""
-        own = wrench_matrix(turn_of(self.sensor[3:]), np.array(self.sensor[:3]) / length_m)
+    def on_wrench(self, length_m: float) -> Array:
+        """(18 + g, 6, 6) what is added to wrenches in the clamp's frame, over a length, by an error of one unit of each of
+        `RIG_QUANTITIES` and of the gain of each channel, or of each channel by each; to the first order."""
+        found = np.zeros((len(RIG_QUANTITIES) + len(self.gains), 6, 6))
+        crossed = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
+        found[8:11, 3:, :3] = crossed / length_m
+        found[11:14, :3, :3] = found[11:14, 3:, 3:] = crossed
+        own, gains = (
+            wrench_matrix(turn_of(self.sensor[3:]), np.array(self.sensor[:3]) / length_m),
+            found[-len(self.gains) :],
+        )
         if len(self.gains) == 6:
-            return np.einsum("ik,kj->kij", own, np.linalg.inv(own))
-        units = np.repeat([1.0, length_m], 3)
-        mixed = np.einsum("ik,lj->klij", own / units, np.linalg.inv(own) * units[:, None])
-        return mixed.reshape(36, 6, 6)
+            gains[:] = np.einsum("ik,kj->kij", own, np.linalg.inv(own))
+        else:
+            units = np.repeat([1.0, length_m], 3)
+            mixed = np.einsum("ik,lj->klij", own / units, np.linalg.inv(own) * units[:, None])
+            gains[:] = mixed.reshape(36, 6, 6)
+        return found
 
     def components(self) -> Array:
-        """(18, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
-        return self._components()[: len(RIG_QUANTITIES)]
-
-    def gain_components(self) -> Array:
-        """(g, p) the gains in the same errors."""
-        return self._components()[len(RIG_QUANTITIES) :]
-
-    def _components(self) -> Array:
+        """(18 + g, p) independent errors of one standard deviation each, of `RIG_QUANTITIES` and gains."""
         # exact gains are left out, so that they change no digit
         covariance = _joint(self.covariance, self.gains) if self.gains.any() else self.covariance
-        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        scale = np.where(deviations > 0, deviations, 1.0)
+        scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        scale[scale == 0] = 1.0
         square, axes = np.linalg.eigh(covariance / scale / scale[:, None])
-        found = np.zeros((len(RIG_QUANTITIES) + len(self.gains), len(square)))
-        rows = [*map(RIG_QUANTITIES.index, self.names), *range(len(RIG_QUANTITIES), len(found))][: len(square)]
+        count = len(RIG_QUANTITIES)
+        found = np.zeros((count + len(self.gains), len(square)))
+        rows = [*map(RIG_QUANTITIES.index, self.names), *range(count, len(found))][: len(square)]
         found[rows] = scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
         return found[:, square > NEGLIGIBLE]
 

@@ -21,12 +21,12 @@ def six_axis(recording):
     return replace(recording, **dict.fromkeys(SIX, zero))
 
 
-def displaced(recording, error, gains=(0.0,) * 6, sensor=(0.0,) * 6):
-    """The recording as a rig with an error (18,) of `RIG_QUANTITIES` but the weight gives it; finite, by rotations.
+def displaced(recording, error, sensor=(0.0,) * 6):
+    """The recording as a rig with an error (24,) gives it, of `RIG_QUANTITIES` but the weight, and of gains; by rotations.
 
-    Gains (6,) belong to a sensor with a place in m and Euler angles in degrees.
+    The gains belong to a sensor with a place in m and Euler angles in degrees.
     """
-    full = six_axis(recording)
+    full, gains = six_axis(recording), error[18:]
     axes = Rotation.from_euler("xyz", sensor[3:], degrees=True)
     force, moment = full.wrench()
     arm = np.cross(sensor[:3], force)

@@ -47,7 +47,7 @@ def with_rig(recording, rig, seed=None):
 
 def one_off(recording, rig, k):
     """The recording as a rig with one of the independent errors gives it."""
-    return displaced(recording, rig.components()[:, k], rig.gain_components()[:, k], rig.sensor)
+    return displaced(recording, rig.components()[:, k], rig.sensor)
 
 
 def touched(recording, model="planar"):
@@ -115,7 +115,7 @@ def test_the_length_moves_contacts_to_the_tip_only(flat):
     exact = touched(flat)
     assert (cloud.phase == planar.Phase.TIP).sum() > (exact.phase == planar.Phase.TIP).sum()
     # a rod that is stated too long makes tip contacts tangential, unless the uncertainty of the length is known
-    longer = displaced(flat, 2e-3 * np.eye(18)[1])
+    longer = displaced(flat, 2e-3 * np.eye(24)[1])
     tips = exact.row[exact.phase == planar.Phase.TIP]
     for uncertain, right in ((None, False), (rig, True)):
         found = touched(dataclasses.replace(longer, rig=uncertain))

@@ -38,11 +38,11 @@ def test_components_have_the_covariance_whatever_the_units():
     """Their squares add up to the covariance, which has entries from 1e-10 to 1e-5."""
     rig = typical()
     parts = rig.components()
-    assert parts.shape == (18, 14)
+    assert parts.shape == (24, 14)
     np.testing.assert_allclose((parts @ parts.T)[:14, :14], rig.covariance, rtol=1e-9, atol=1e-20)
     alike = RigUncertainty(TWO, [[4e-6, 2e-8], [2e-8, 1e-10]])  # correlation 1
-    assert alike.components().shape == (18, 1)
-    assert RigUncertainty((), []).components().shape == (18, 0)
+    assert alike.components().shape == (24, 1)
+    assert RigUncertainty((), []).components().shape == (24, 0)
 
 
 def test_a_recording_keeps_it_bit_for_bit(tmp_path):
@@ -150,7 +150,7 @@ def _error(before, after):
 
     scale = np.abs(m).max() / np.abs(f).max()
     zero = np.zeros((3 * len(f), 3))
-    gains = np.einsum("kij,nj->nik", before.rig.by_gains(1.0), np.hstack([f, m]))
+    gains = np.einsum("kij,nj->nik", before.rig.on_wrench(1.0)[18:], np.hstack([f, m]))
     by_gains = [part.reshape(-1, 6) for part in (scale * gains[:, :3], gains[:, 3:])]
     matrix = np.vstack(
         [np.hstack([zero, scale * crossed(f), by_gains[0]]), np.hstack([crossed(f), crossed(m), by_gains[1]])]

@@ -28,7 +28,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
-from scan3d.rigs import RIG_QUANTITIES, RigErrors, displaced
+from scan3d.rigs import RIG_QUANTITIES, RigErrors
 from scan3d.spatial import inverse
 from scan3d.spatial.march import free_reactions, reshaped
 
@@ -154,6 +154,8 @@ class Effects(NamedTuple):
     """(n, 3, p)"""
     s1: Array
     """(n, p)"""
+    along: Array
+    """(n, 3) the tangents themselves."""
 
 
 def effects(recording: Recording, rows: Index, model: str) -> Effects:
@@ -162,23 +164,22 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
     (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
-    exact, right = np.zeros(len(RIG_QUANTITIES)), np.zeros(6)
-    rig = recording.rig
-    gains = np.zeros(len(rig.gains))
+    components, right = recording.rig.components(), np.zeros(6)
+    exact = np.zeros(len(components))
     # a step between the error of central differences and rounding
-    errors = [(1e-2, *parts, right) for parts in zip(rig.components().T, rig.gain_components().T, strict=True)]
+    errors = [(1e-2, error, right) for error in components.T]
     size = np.zeros((len(rows), 1))
     if relative := recording.rig.relative:
         size = _size(recording, rows)[:, None]
         # about as far as all contacts stay within at once, so that what is not linear in the error of a wrench is part
         # of it
-        errors += [(4.0, exact, gains, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
+        errors += [(4.0, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
 
-    def changed(step: float, component: Array, gains: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
+    def changed(step: float, error: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
         wrench = force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]
-        return _contacts(recording, rows, wrench, noise, step * component, step * gains)
+        return _contacts(recording, rows, wrench, noise, step * error)
 
-    middle = changed(0.0, exact, gains, right)
+    middle = changed(0.0, exact, right)
     for step, *parts in errors:
         sides = changed(step, *parts), changed(-step, *parts)
         with np.errstate(invalid="ignore"):
@@ -189,7 +190,7 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
         for column, shape in zip(moved, ((3,), (3,), ()), strict=True)
     )
     place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in (place, tangent))
-    return Effects(place, tangent, s1)
+    return Effects(place, tangent, s1, np.einsum("ni,nij->nj", middle[1], axes))
 
 
 def _larger(one: Array, other: Array) -> Array:
@@ -218,63 +219,40 @@ def _weights(recording: Recording, model: str) -> tuple[float, float] | None:
 
 
 def _contacts(
-    recording: Recording,
-    rows: Index,
-    wrench: tuple[Array, Array],
-    noise: tuple[float, float] | None,
-    error: Array,
-    gains: Array,
+    recording: Recording, rows: Index, wrench: tuple[Array, Array], noise: tuple[float, float] | None, error: Array
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18,) and gains (g,)."""
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18 + g,)."""
     rod, (force, moment) = recording.rod, wrench
     if error[17]:
         heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(error[17])))
         sides = zip(wrench, _wrench(heavier, rows), _wrench(recording, rows), strict=True)
         rod, (force, moment) = heavier.rod, (part + more - less for part, more, less in sides)
-    if gains.any():
-        assert recording.rig is not None
-        shown = np.hstack([force, moment])
-        shown = shown + shown @ np.einsum("k,kij->ji", gains, recording.rig.by_gains(rod.length_m))
-        force, moment = shown[:, :3], shown[:, 3:]
-    offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:14]
-    softer = np.exp(-error[0])
-    force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
+    assert recording.rig is not None
+    added = np.einsum("k,kij->ij", error, recording.rig.on_wrench(rod.length_m))
+    offset, turn = error[2:5] / rod.length_m, error[5:8]
+    force, moment = np.hsplit(np.exp(-error[0]) * np.hstack([force, moment]) @ (np.eye(6) + added).T, 2)
     if noise is None:
         force[:, 2] = 0
         moment[:, :2] = 0
-    down = recording.down()
+    bent, down = reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m]), recording.down()
+    pulled = None if down is None else down[rows]
     if recording.in_probings.all():
-        bent = reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m])
-        pulled = None if down is None else down[rows].T
-        measured = recording.noise.of_reactions(recording.rod)
-        bead = rod.bead_diameter_m / 2 / rod.length_m
+        measured, bead = recording.noise.of_reactions(recording.rod), rod.bead_diameter_m / 2 / rod.length_m
+        pulled = None if pulled is None else pulled.T
         ends = inverse.at_ends(force.T, moment.T, measured, rod=bent, gravity=pulled, in_plane=noise is None, bead=bead)
-        point = ends.point.T - bead * ends.normal
-        point = offset + (1 + error[1]) * point + np.cross(turn, point)
+        point, s1 = (1 + error[1]) * (ends.point.T - bead * ends.normal), np.ones(len(force))
         along = np.broadcast_to([0.0, 1.0, 0.0], point.shape)
-        return point, along + np.cross(turn, along), np.ones(len(point))
-    found = inverse.reconstruct(
-        force,
-        moment,
-        tolerance=inverse.PAST_TIP,
-        noise=noise,
-        rod=reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m]),
-        gravity=None if down is None else down[rows],
-    )
-    place = offset + found.point + np.cross(turn, found.point)
-    return place, found.tangent + np.cross(turn, found.tangent), found.s1 / (1 + error[1])
+    else:
+        found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise, rod=bent, gravity=pulled)
+        point, along, s1 = found.point, found.tangent, found.s1 / (1 + error[1])
+    return offset + point + np.cross(turn, point), along + np.cross(turn, along), s1
 
 
 def torsion_sd(recording: Recording, rows: Index) -> Array:
     """(n,) standard deviations, dimensionless, of the moment about the rod, which a single contact force does not have."""
     assert recording.rig is not None
-    force, moment = _wrench(recording, rows)
-    components = recording.rig.components()
-    lever, turn = components[8:11] / recording.rod.length_m, components[11:14]
-    moment[:, 1] = 0  # the other components give what is added to it
-    parts = displaced(force[:, None], moment[:, None], turn.T, lever.T)[1][..., 1]
-    wrench = np.hstack(_wrench(recording, rows))
-    parts = parts + wrench @ recording.rig.by_gains(recording.rod.length_m)[:, 4].T @ recording.rig.gain_components()
+    about_rod = recording.rig.on_wrench(recording.rod.length_m)[:, 4]
+    parts = np.hstack(_wrench(recording, rows)) @ about_rod.T @ recording.rig.components()
     return np.asarray(np.linalg.norm(parts, axis=1))
 
 
@@ -321,11 +299,7 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
     rows, length = cloud.row[part].astype(np.intp), cloud.rod_length
     points = (cloud.points if cloud.centre_points is None else cloud.centre_points)[part]
     moved = effects(recording, rows, cloud.model)
-    place, turned = length * moved.place, moved.tangent
-    axes = recording.axes()[rows]
-    noise = _weights(recording, cloud.model)
-    bent = _contacts(recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)), np.zeros(1))
-    tangent = np.einsum("ni,nij->nj", bent[1], axes)
+    place, turned, tangent, axes = length * moved.place, moved.tangent, moved.along, recording.axes()[rows]
     tangential = cloud.phase[part] == planar.Phase.TANGENTIAL
     turned = np.where(tangential[:, None, None], turned, 0.0)
     normal = axes[:, 2]
