@@ -118,7 +118,6 @@ FAULTS: dict[str, Fault] = {
     "fy 10 % too large": scaled(1, 1.1, 1),
     "moment in N mm": scaled(1, 1, 1e3),
     "forces in mN": scaled(1e3, 1e3, 1),
-    "forces in mN and moment in mN m": scaled(1e3, 1e3, 1e3),
     "forces in kN": scaled(1e-3, 1e-3, 1),
     "fx off by 1 %": offset(force_x=0.01),
     "fx off by -1 %": offset(force_x=-0.01),

@@ -35,9 +35,8 @@ from scan3d.rigs import (
     RigUncertainty,
     accuracy_of,
     euler_of,
-    to_inner,
-    to_outer,
     turn_of,
+    wrench_matrix,
 )
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
@@ -190,12 +189,11 @@ class Calibration(Described):
     def corrected(self, wrench: Array, position_m: Array, quaternion: Array) -> tuple[Array, Array, Array, Array]:
         """Force, moment and position (n, 3) and quaternion (n, 4) of the true clamp, by tared wrenches (n, 6) and poses."""
         sensor, clamp = self.frames()
-        force, moment, gains = wrench[:, :3], wrench[:, 3:], self.gains
-        if gains.any():
-            own, sensor = self.before("sensor"), self.own_sensor()
-            shown = to_inner(force, moment, own.turn, own.position_m)
-            force, moment = (part + part * gain for part, gain in zip(shown, np.split(gains, 2), strict=True))
-        force, moment = to_outer(force, moment, sensor.turn, sensor.position_m)
+        matrix = wrench_matrix(sensor.turn, sensor.position_m)
+        if self.gains.any():
+            own = wrench_matrix(self.before("sensor").turn, self.before("sensor").position_m)
+            matrix = matrix @ own * (1 + self.gains) @ np.linalg.inv(own)
+        force, moment = np.hsplit(wrench @ matrix.T, 2)
         return force, moment, *clamp.carried(position_m, quaternion)
 
     def moment_noise(self, force_N: float, moment_Nm: float) -> float:
@@ -415,6 +413,7 @@ def _map_frames(recording: Recording) -> dict[str, Any]:
 
 COVERAGE_FACTOR = 2.0
 """Of expanded uncertainties: about 95 % of the errors of a normal distribution."""
+_TARE = ("force_N", "moment_Nm", "drift_force_N", "drift_moment_Nm")
 CHANNELS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 OF_CONTACTS = (
     "bending_stiffness_Nm2",
@@ -611,12 +610,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
             else {"accuracy": rig.accuracy.tolist(), "gains": rig.gains.tolist()}
         ),
         "clamp": _frame(rig.clamp_position_m, rig.clamp_euler_deg),
-        "tare": {
-            "force_N": rig.tare[:3].tolist(),
-            "moment_Nm": rig.tare[3:].tolist(),
-            "drift_force_N": rig.drift[:3].tolist(),
-            "drift_moment_Nm": rig.drift[3:].tolist(),
-        },
+        "tare": dict(zip(_TARE, np.reshape([rig.tare, rig.drift], (4, 3)).tolist(), strict=True)),
         **({rig.reference["kind"]: reference} if reference else {}),
         "noise": {"force_N": rig.noise_force_N, "moment_Nm": rig.noise_moment_Nm, "pose_m": rig.pose_noise_m},
         "fit": {
@@ -657,6 +651,7 @@ def read_rig(path: str | Path) -> Calibration:
     with sensor.errors_named():
         accuracy = accuracy_of(sensor.any("accuracy", 0.0))
     channels, matrix, offset = read_transducer(sensor)
+    shown = np.concatenate([_three(tare, name) for name in _TARE])
     frames, names = data.section("map"), tuple(quantities.data)
     covariance, gains, well = _covariance(data.section("covariance"), names, np.diag(accuracy**2))
     known = ("chi2_per_freedom", "consistency", "freedom", "sentences")
@@ -666,8 +661,8 @@ def read_rig(path: str | Path) -> Calibration:
         sensor_euler_deg=_three(sensor, "euler_deg"),
         clamp_position_m=_three(clamp, "position_mm") / 1000,
         clamp_euler_deg=_three(clamp, "euler_deg"),
-        tare=np.concatenate([_three(tare, "force_N"), _three(tare, "moment_Nm")]),
-        drift=np.concatenate([_three(tare, "drift_force_N"), _three(tare, "drift_moment_Nm")]),
+        tare=shown[:6],
+        drift=shown[6:],
         names=names,
         values=np.array([quantities.number(name) for name in names]),
         standard_deviations=np.array([uncertainty.number(name, math.inf) for name in names]),

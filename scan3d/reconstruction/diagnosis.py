@@ -540,24 +540,24 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         tried = [cause for cause in tried if not cause.starts.shape[1]]
     fitting: list[_Trial] = []
     for of_rod in (False, True):  # no rod is tried where a fault leaves nothing
-        if all(trial.misfit + trial.level > _OF_NUMBERS**2 * before for trial in fitting):
+        if all(trial.misfit + trial.left.level > _OF_NUMBERS**2 * before for trial in fitting):
             group = [cause for cause in tried if (cause.family == "rod") == of_rod]
             evaluations = _FEW if of_rod else _EVALUATIONS
-            trials = [_refined(trial, sample, evaluations) for trial in _searched(group, few)]
+            trials = [_refined(*hopeful, sample, evaluations) for hopeful in _searched(group, few)]
             fitting += [trial for trial in trials if trial.explains(before) >= 0.8 and trial.fits(before)]
-    if all(trial.level > before for trial in fitting):  # errors that hide any misfit explain none
+    if all(trial.left.level > before for trial in fitting):  # errors that hide any misfit explain none
         about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
         # makers of sensors state a cross-talk of 1 %: so small a moment along the force proves no second contact
         second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > 0.01
         return _second_contact(along_force) if second else _UNKNOWN
     # misfits that begin at a bound fall to zero slowly, the fewer rows have one, and few evaluations end before they do
-    fitting = [_settled(trial, sample) if max(noise) else _refined(trial, sample) for trial in fitting]
+    fitting = [_settled(trial, sample) if max(noise) else _refined(*trial[:2], sample) for trial in fitting]
     first = min(fitting, key=lambda trial: trial.score)
     alike = {first.named.fault: first.named.message}
     for trial in fitting:
         other, best = trial.cause, first.cause
         contains = other.cost > best.cost and (best.cost == 0 or (other.family == best.family == "sensor"))
-        if trial.misfit + first.level < _ALIKE * (first.misfit + first.level) and not contains:
+        if trial.misfit + first.left.level < _ALIKE * (first.misfit + first.left.level) and not contains:
             alike.setdefault(trial.named.fault, trial.named.message)
     explains = first.explains(before)
     if len(alike) == 1:
@@ -633,16 +633,12 @@ class _Left(NamedTuple):
 class _Trial(NamedTuple):
     cause: Cause
     numbers: Array
-    left: _Left | None = None
-    """After its correction; None before it is tried."""
+    left: _Left
+    """After its correction."""
 
     @property
     def misfit(self) -> float:
-        return np.inf if self.left is None else _mean_square(self.left.excess)
-
-    @property
-    def level(self) -> float:
-        return 0.0 if self.left is None else self.left.level
+        return _mean_square(self.left.excess)
 
     def explains(self, before: float) -> float:
         """Part of a root mean square misfit that the correction removes."""
@@ -650,7 +646,7 @@ class _Trial(NamedTuple):
 
     def fits(self, before: float) -> bool:
         """Whether nearly no row contradicts by more than its errors, and those of the numbers, explain."""
-        if self.left is None or self.level > _ALIKE * before:
+        if self.left.level > _ALIKE * before:
             return False
         allowed = (_SURELY / _SIGMAS - 1) * self.left.explained + _OF_NUMBERS * np.sqrt(before)
         worst = self.left.excess.max(axis=0)
@@ -673,22 +669,21 @@ def _mean_square(residuals: Array) -> float:
     return float(np.mean(residuals**2))
 
 
-def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
+def _searched(tried: list[Cause], few: _Sample) -> list[tuple[Cause, Array]]:
     """The faults with numbers that few rows make hopeful, as these estimate them, and all faults without numbers."""
-    plain = [_Trial(cause, cause.starts[0]) for cause in tried if not cause.starts.shape[1]]
+    plain = [(cause, cause.starts[0]) for cause in tried if not cause.starts.shape[1]]
     # what halves the root mean square misfit is refined
     rough, least = [], 0.25 * _mean_square(few.left(Undone()).excess)
     for cause in (cause for cause in tried if cause.starts.shape[1]):
         trials = [_Trial(cause, start, few.left(cause.undone(start))) for start in cause.starts]
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
         best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else 2]
-        rough.append(min((_refined(trial, few, _FEW) for trial in best), key=lambda trial: trial.misfit))
-    return plain + [trial for trial in rough if trial.misfit <= least]
+        rough.append(min((_refined(cause, t.numbers, few, _FEW) for t in best), key=lambda trial: trial.misfit))
+    return plain + [(trial.cause, trial.numbers) for trial in rough if trial.misfit <= least]
 
 
-def _refined(trial: _Trial, sample: _Sample, evaluations: int = _EVALUATIONS) -> _Trial:
-    """The trial with the numbers by which the rows of a sample have the least misfit."""
-    cause, numbers = trial.cause, trial.numbers
+def _refined(cause: Cause, numbers: Array, sample: _Sample, evaluations: int = _EVALUATIONS) -> _Trial:
+    """The trial with the numbers, near those given, by which the rows of a sample have the least misfit."""
     if len(numbers):
         near = sample.near(cause.undone(numbers))
 
@@ -702,12 +697,12 @@ def _refined(trial: _Trial, sample: _Sample, evaluations: int = _EVALUATIONS) ->
 
 def _settled(trial: _Trial, sample: _Sample) -> _Trial:
     """The trial with numbers in the middle of those that noise allows: by all misfits, over their standard deviations."""
-    cause, left = trial.cause, trial.left
-    if not len(trial.numbers) or left is None:
+    cause = trial.cause
+    if not len(trial.numbers):
         return trial
-    numbers = _least(_deviations(trial, left, sample), trial.numbers, cause.limit, _EVALUATIONS)
+    numbers = _least(_deviations(trial, sample), trial.numbers, cause.limit, _EVALUATIONS)
     settled = trial._replace(numbers=numbers, left=sample.left(cause.undone(numbers)))
-    return settled if settled.misfit <= trial.misfit + trial.level else trial
+    return settled if settled.misfit <= trial.misfit + trial.left.level else trial
 
 
 def _least(deviations: Callable[[Array], Array], numbers: Array, limit: float, evaluations: int) -> Array:
@@ -723,9 +718,9 @@ def _least(deviations: Callable[[Array], Array], numbers: Array, limit: float, e
     return np.asarray(numbers + found.x - one)
 
 
-def _deviations(trial: _Trial, left: _Left, sample: _Sample) -> Callable[[Array], Array]:
+def _deviations(trial: _Trial, sample: _Sample) -> Callable[[Array], Array]:
     """What is left with other numbers, over the standard deviations that it has with those of the trial."""
-    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
+    sd = np.maximum(trial.left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
     near = sample.near(trial.cause.undone(trial.numbers))
     return lambda n: np.asarray(np.minimum(near.left(trial.cause.undone(n)).found / sd, _SURELY).ravel())
 
@@ -733,9 +728,8 @@ def _deviations(trial: _Trial, left: _Left, sample: _Sample) -> Callable[[Array]
 def _interval(trial: _Trial, sample: _Sample) -> tuple[float, float]:
     """The smallest and the largest size of a fault that explains it alike, with its other numbers fitted to each."""
     cause, numbers, named = trial.cause, trial.numbers, trial.named
-    assert trial.left is not None
     assert named.value is not None
-    deviations, sizes = _deviations(trial, trial.left, sample), [named.value]
+    deviations, sizes = _deviations(trial, sample), [named.value]
     limit = _ALIKE * max(_mean_square(deviations(numbers)), 1.0)
     each = _STEP * np.eye(len(numbers))
     rise = np.array([(cause.named(numbers + e).value or 0.0) - (cause.named(numbers - e).value or 0.0) for e in each])

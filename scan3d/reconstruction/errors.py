@@ -163,7 +163,9 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     assert recording.rig is not None
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
-    (force, moment), noise = _wrench(recording, rows), _weights(recording, model)
+    force, moment = _wrench(recording, rows)
+    # the spatial model weights by it what it knows of the bending plane
+    noise = None if model == "planar" else recording.noise.of_reactions(recording.rod)
     components, right = recording.rig.components(), np.zeros(6)
     exact = np.zeros(len(components))
     # a step between the error of central differences and rounding
@@ -211,11 +213,6 @@ def _size(recording: Recording, rows: Index) -> Array:
 def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:
     force, moment = recording.reactions(recording.six_axis)
     return force[rows], moment[rows]
-
-
-def _weights(recording: Recording, model: str) -> tuple[float, float] | None:
-    """Noise of force and moment, by which the spatial model weights what it knows of the bending plane; None in a plane."""
-    return None if model == "planar" else recording.noise.of_reactions(recording.rod)
 
 
 def _contacts(
