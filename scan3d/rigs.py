@@ -252,16 +252,12 @@ class RigUncertainty:
         crossed = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
         found[8:11, 3:, :3] = crossed / length_m
         found[11:14, :3, :3] = found[11:14, 3:, 3:] = crossed
-        own, gains = (
+        own, units = (
             wrench_matrix(turn_of(self.sensor[3:]), np.array(self.sensor[:3]) / length_m),
-            found[-len(self.gains) :],
+            np.repeat([1.0, length_m], 3),
         )
-        if len(self.gains) == 6:
-            gains[:] = np.einsum("ik,kj->kij", own, np.linalg.inv(own))
-        else:
-            units = np.repeat([1.0, length_m], 3)
-            mixed = np.einsum("ik,lj->klij", own / units, np.linalg.inv(own) * units[:, None])
-            gains[:] = mixed.reshape(36, 6, 6)
+        mixed = np.einsum("ik,lj->klij", own / units, np.linalg.inv(own) * units[:, None]).reshape(36, 6, 6)
+        found[len(RIG_QUANTITIES) :] = mixed if len(self.gains) == 36 else mixed[::7]  # of each channel by itself
         return found
 
     def components(self) -> Array:
