@@ -53,7 +53,7 @@ def diagnosed(recording):
     return found.diagnosis
 
 
-def read_as_simple(**rod):
+def read_as_simple(noise=0.0, seed=0, **rod):
     """A recording with a rod that is not straight, uniform and rigidly clamped, and that is read as if it were."""
     simple = in_plane().rod
     diameter = simple.length_m / 200
@@ -63,7 +63,7 @@ def read_as_simple(**rod):
         clamp_compliance_rad_per_Nm=1 / simple.moment_unit_Nm,
     )
     bent = replace(simple, diameter_m=diameter, **{key: value * factors[key] for key, value in rod.items()})
-    plan = scan3d.Plan(slices=8, samples=40, friction=0.3, rod=bent)
+    plan = scan3d.Plan(slices=8, samples=40, friction=0.3, noise=noise, seed=seed, rod=bent)
     return replace(scan3d.simulate(scan3d.load_mesh(MESHES / "egg.stl"), plan), rod=simple)
 
 
@@ -242,26 +242,41 @@ KINDS = {"a little taper": "taper", "set": "curvature"}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["taper", *map(trusted, list(RODS)[1:])])
-def test_a_rod_that_is_not_the_stated_one_is_named(kind):
-    """Under noise `tests.robustness.faults` asks whether the fault is named, or among what is alike."""
-    recording = read_as_simple(**RODS[kind])
+@pytest.mark.parametrize(
+    ("kind", "noise", "seed"),
+    [
+        ("taper", 0.0, 0),
+        *(trusted(kind, noise, seed) for kind in RODS for noise in (0.0, 1e-4, 1e-3) for seed in range(3)),
+    ],
+)
+def test_a_rod_that_is_not_the_stated_one_is_named_or_among_what_is_alike(kind, noise, seed):
+    """Small deviations may be those of several faults under noise, and are never those of another one alone."""
+    recording = read_as_simple(noise, seed, **RODS[kind])
     (factor,) = RODS[kind].values()
     code, size = KINDS.get(kind, kind), {"taper": factor, "curvature": factor / recording.rod.length_m}
     found = checked(recording, scan3d.reconstruct(recording)).diagnosis
+    if noise and (found is None or found.fault == "several"):
+        texts = {"taper": "tapers to", "curvature": "rod is curved", "clamp-compliance": "the clamp gives"}
+        assert found is None or texts[code] in found.message
+        return
     assert found.fault == code, found
-    assert found.value == pytest.approx(size.get(code, factor / recording.rod.moment_unit_Nm), rel=1e-3)
+    expected = size.get(code, factor / recording.rod.moment_unit_Nm)
+    assert found.value == pytest.approx(expected, rel=0.2 if noise else 1e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("weight", "tared"), [trusted(weight, tared) for weight in (0.01, 0.04, 0.1) for tared in (True, False)]
+    ("weight", "tared", "noise"),
+    [trusted(weight, tared, noise) for weight in (0.01, 0.04, 0.1) for tared in (True, False) for noise in (0.0, 1e-3)],
 )
-def test_the_weight_of_a_rod_is_named(weight, tared):
-    recording = heavy(weight, tared)
+def test_the_weight_of_a_rod_is_named(weight, tared, noise):
+    recording = heavy(weight, tared, noise)
     found = checked(recording, scan3d.reconstruct(recording)).diagnosis
+    if noise and (found is None or found.fault == "several"):
+        assert found is None or "weight" in found.alike
+        return
     assert found.fault == "weight", found
-    assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=1e-3)
+    assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.2 if noise else 1e-3)
     assert f"tared = {str(tared).lower()}" in found.message
 
 
