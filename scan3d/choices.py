@@ -22,14 +22,6 @@ Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", 
 METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes
 to noisy contacts."""
-IN_WORDS = {
-    "hull": "hull of the contacts",
-    "bracket": "between the bounds",
-    "support": "fit of a smooth body",
-    "regression": "fit of planes",
-    "cut": "between contacts and free space",
-}
-"""What a summary says of surfaces by the names of their methods, where these are no words of the field."""
 NOT_CONVEX = ("poisson", "ball-pivoting")
 """Those of them that need open3d, and make surfaces that need not be convex."""
 View = Literal["cloud", "surface", "bound", "compare", "explain", "histogram", "forces"]

@@ -105,11 +105,10 @@ def _rod(live: Live) -> Array:
     row, last = live.last_row, live.contacts[-1]
     assert row is not None
     metres, base = UNITS_M[live.unit], row.position_m[0]
-    if live.state != "touching":
-        line = np.stack([base, base + row.rod.length_m * row.axes()[0, 1]])
-    elif row.rod.is_simple:
+    touching = live.state == "touching"
+    line = np.stack([base, last.point * metres if touching else base + row.rod.length_m * row.axes()[0, 1]])
+    if touching and row.rod.is_simple:
         curved, straight = parts.bent_rods(row, np.zeros(1, dtype=np.int64), live.model == "spatial")
-        line = np.concatenate([curved[0], straight[0, 1:]])
-    else:
-        line = np.stack([base, last.point * metres])
-    return line / metres
+        bent = np.concatenate([curved[0], straight[0, 1:]])
+        line = bent if np.isfinite(bent).all() else line  # a row that came in between touches nothing
+    return np.asarray(line / metres)

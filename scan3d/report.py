@@ -18,7 +18,6 @@ import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
-from scan3d.choices import IN_WORDS
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.errors import NoBodyError
@@ -33,6 +32,16 @@ if TYPE_CHECKING:
     import trimesh
 
     from scan3d.surfaces.any_shape import AnyShape
+
+
+# What a summary says of surfaces by their methods, where the names are no words of the field.
+_IN_WORDS = {
+    "hull": "hull of the contacts",
+    "bracket": "between the bounds",
+    "support": "fit of a smooth body",
+    "regression": "fit of planes",
+    "cut": "between contacts and free space",
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -505,7 +514,7 @@ def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
         rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
-    method = IN_WORDS.get(surface["method"], surface["method"])
+    method = _IN_WORDS.get(surface["method"], surface["method"])
     rows.append(("surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"))
     if hausdorff:
         to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""

@@ -139,7 +139,7 @@ def felt_along(
         return far, normals[face]
 
     point, force, moment, onto = hanging.copy(), weight.copy(), in_air.copy(), np.zeros((3, n))
-    earlier, distance, active = np.full((3, n), np.nan), np.full(n, np.inf), np.arange(n)
+    earlier, distance, active = np.full((6, n), np.nan), np.full(n, np.inf), np.arange(n)
     resolved, steps = np.ones(n, dtype=bool), None
     for number in range(_ROUNDS):
         beside = point[:, active].copy()
@@ -155,17 +155,17 @@ def felt_along(
         if planar:
             local[:, 2] = 0.0
         pushed = stop * _direction(local, np.arctan(friction[active])).T
-        before, last = point[:, active], force[:, active]
-        force[:, active] = weight[:, active] - pushed
+        before, last = point[:, active], np.concatenate([force[:, active], onto[:, active]])
         # of the force on the surface of the bead about its centre
         at_end = cross(-bead / length * local.T, pushed)
-        moment[:, active] += cross(before, force[:, active] - last) - (at_end - onto[:, active])
-        onto[:, active] = at_end
+        load = np.concatenate([weight[:, active] - pushed, at_end])
+        moment[:, active] += cross(before, load[:3] - last[:3]) - (load[3:] - last[3:])
+        force[:, active], onto[:, active] = load[:3], load[3:]
         # pushed off each of two faces onto the other, it would rest on the edge between, where there is no normal
-        changed, edge = (force[:, active] != last).any(axis=0), (force[:, active] == earlier[:, active]).all(axis=0)
+        changed, edge = (load != last).any(axis=0), (load == earlier[:, active]).all(axis=0)
         resolved[active[changed & edge]] = False
         earlier[:, active] = last
-        # a rod that meets places with the same normal again is bent by the same force
+        # a rod that meets places with the same normal again is bent alike
         rows = active[(changed & ~edge) | (number == 0)]
         for _ in range(_ROUNDS):
             # the forces of later rounds hardly differ, so that as many steps are enough
