@@ -24,11 +24,11 @@ scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
 test: .venv/test ## run all tests but the long ones of make trust (about half an hour on two cores)
-	@echo "All tests, $(WORKERS) at a time: about half an hour on two cores.  make fast takes five minutes."
+	@echo "All tests, $(WORKERS) at a time: about half an hour on two cores.  make fast takes seven minutes."
 	$(PYTEST) $(ARGS)
 
-fast: .venv/test ## run the tests that are not marked slow (five minutes on two cores)
-	@echo "The tests that are not marked slow, $(WORKERS) at a time: about five minutes on two cores."
+fast: .venv/test ## run the tests that are not marked slow (seven minutes on two cores)
+	@echo "The tests that are not marked slow, $(WORKERS) at a time: about seven minutes on two cores."
 	$(PYTEST) -m "not slow and not trust" $(ARGS)
 
 lint: .venv/dev ## check style, format, types and imports
