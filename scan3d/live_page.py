@@ -11,6 +11,7 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.files.shapes import table
 from scan3d.live import Live, LiveContact
 from scan3d.pictures import parts
 from scan3d.pictures.page import as_json, page_data, page_of, strips
@@ -88,16 +89,13 @@ class LivePage:
 
 def _table(contacts: list[LiveContact]) -> Any:
     """The columns of contacts that pages show."""
-    columns = {
+    columns: dict[str, Any] = {
         **dict(zip("xyz", np.array([one.point for one in contacts]).T, strict=True)),
         **dict(zip(("nx", "ny", "nz"), np.array([one.normal for one in contacts]).T, strict=True)),
         "phase": np.array([one.phase for one in contacts], dtype=np.uint8),
         "force": np.array([one.force_N for one in contacts]),
     }
-    table = np.empty(len(contacts), dtype=[(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    return table
+    return table(columns)
 
 
 def _rod(live: Live) -> Array:
