@@ -240,6 +240,17 @@ class Cloud(Shown, Exported):
     def __len__(self) -> int:
         return len(self.points)
 
+    @classmethod
+    def of_none(cls, unit: str, rod_length: float, model: str) -> Cloud:
+        """A cloud without contacts."""
+        numbers, vectors = np.zeros(0, dtype=np.int32), np.zeros((0, 3))
+        small, values = np.zeros(0, dtype=np.int8), np.zeros(0)
+        return cls(
+            *(vectors, vectors, small, vectors, small, numbers, numbers, numbers, values, values, vectors, values),
+            *(unit, rod_length, 0.0),
+            model=model,
+        )
+
     def swept(self) -> Cloud:
         """The contacts that are not those of probings."""
         return self if self.probed is None else replace(self.select(~self.probed), probed=None)

@@ -7,6 +7,7 @@ A row gives what it gives in a recording: `reconstruction.contacts` reads both. 
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +25,7 @@ from scan3d.files.recordings import read_settings
 from scan3d.files.text import read_section
 from scan3d.laboratory.signals import ringing
 from scan3d.planning.plan import check_choice, check_whole
-from scan3d.reconstruction import reconstruct
+from scan3d.reconstruction import NoContactError, reconstruct
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Noise, Recording, as_stated, of_checked, reaction_columns
@@ -274,11 +275,11 @@ class Live:
 
     @property
     def recording(self) -> Recording:
-        """The rows so far, tared and corrected; those that ring have no wrench.  Raises InputError if there are none."""
-        if not self._rows:
-            raise InputError("there are no rows yet: push some, the first of which find the zero of the sensor")
+        """The rows so far, tared and corrected; those that ring have no wrench."""
         names = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
         names += SIX_AXES if self.model == "spatial" else []
+        if not self._rows:
+            return of_checked(self._like, **{name: getattr(self._like, name)[:0] for name in names})
         columns: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in self._rows]) for name in names}
         last = self._rows[-1]
         return as_stated(of_checked(last, **columns), last.noise)
@@ -295,8 +296,11 @@ class Live:
 
     @property
     def cloud(self) -> Cloud:
-        """The contacts so far as `scan3d.reconstruct` finds them in all rows.  Raises InputError if there are none."""
-        return reconstruct(self.recording, model=self.model)
+        """The contacts so far as `scan3d.reconstruct` finds them in all rows."""
+        with suppress(NoContactError):
+            if self._rows:
+                return reconstruct(self.recording, model=self.model)
+        return Cloud.of_none(self.unit, self._like.rod.length_m / UNITS_M[self.unit], self.model)
 
 
 def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | None, dict[str, Any]]:

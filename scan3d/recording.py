@@ -282,6 +282,8 @@ class Recording(Shown):
 
     def summary(self) -> Rows:
         """Counts, rod, noise, and where the samples were taken, with the largest reactions."""
+        if not len(self):  # of `Live`, before its first row
+            return [("samples", "none")]
         rod, unit = self.rod, self.unit
         force, moment = np.linalg.norm(self.force_N, axis=1), np.abs(self.moment_Nm)
         if self.six_axis:

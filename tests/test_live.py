@@ -145,6 +145,16 @@ def test_a_low_pass_leaves_less_noise():
     assert smooth.recording.noise.force_N < 0.6 * plain.recording.noise.force_N
 
 
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_before_the_first_contact_there_is_nothing_to_see(model):
+    live = scan3d.Live(scanned(model), model=model)
+    assert len(live.recording) == len(live.cloud) == 0
+    assert "none" in str(live.recording)
+    assert "contacts" in str(live.cloud)
+    assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], np.zeros(6)) is None
+    assert (live.state, len(live.recording), len(live.cloud)) == ("air", 1, 0)
+
+
 def test_what_is_no_row_is_refused():
     live = scan3d.Live(scanned("planar"), model="planar")
     assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0, 0, 0]) is None
@@ -154,8 +164,6 @@ def test_what_is_no_row_is_refused():
         live.push(0.0, [0, 0, 0], [1, 1, 0, 0], [0, 0, 0])
     with pytest.raises(InputError, match="a rig is a calibration, a recording"):
         scan3d.Live(scan3d.Rod(0.05, 1e-4))
-    with pytest.raises(InputError, match="there are no rows yet"):
-        _ = scan3d.Live(scanned("planar")).recording
     with pytest.raises(InputError, match="lowpass_hz must be above 0, and needs air_rows"):
         scan3d.Live(scanned("planar"), lowpass_hz=5)
 
