@@ -27,7 +27,7 @@ from planar import plots
 from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
-from planar.rods import METHODS, Rod, solve
+from planar.rods import METHODS, Rod, shapes, solve
 from planar.sweeping import Phase
 
 if TYPE_CHECKING:
@@ -471,7 +471,8 @@ class ElasticLines(NamedTuple):
     curved: Array
     """(n, points, 2) from the clamp to the contact, evenly in arc length."""
     straight: Array
-    """(n, 2, 2) ends of the straight part beyond the contact; they coincide in tip contact."""
+    """(n, 2, 2) ends of the straight part beyond the contact; they coincide in tip contact.  Of rods with curvature or weight
+    (n, points, 2) the part beyond the contact, which is not straight."""
 
     def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
         """The rods, those in tip contact in blue, the others in red up to the contact and in black beyond it.
@@ -481,18 +482,41 @@ class ElasticLines(NamedTuple):
         return plots.plot_lines(self.curved, self.straight, axes, style)
 
 
-def elastic_lines(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, points: int = 100) -> ElasticLines:
+def elastic_lines(
+    x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, points: int = 100, *, rod: Rod | None = None
+) -> ElasticLines:
     """Elastic lines of rods with the given base positions and support reactions (n,).
 
-    A rod without force is straight.  Reactions of sweeps in +x have ``m0z < 0``.  Raises ValueError for arrays of
-    different lengths or fewer than 2 points.
+    A rod without force has the shape at rest.  Reactions of sweeps in +x have ``m0z < 0``.  `rod` is any rod, by default the
+    straight uniform one.  Raises ValueError for arrays of different lengths or fewer than 2 points.
     """
     reactions = checked_reactions(x0, f0x, f0y, m0z)
     if points < 2:
         raise ValueError(f"an elastic line needs at least 2 points, got {points}")
     parts = [slice(first, first + BLOCK) for first in range(0, max(len(reactions[0]), 1), BLOCK)]
-    drawn = (_drawn(points, *(column[part, None] for column in reactions)) for part in parts)
+    if rod is None or rod.is_straight_and_uniform:
+        drawn = (_drawn(points, *(column[part, None] for column in reactions)) for part in parts)
+    else:
+        drawn = (_drawn_of(rod.rows(part), points, *(column[part] for column in reactions)) for part in parts)
     return ElasticLines(*(np.concatenate(columns) for columns in zip(*drawn, strict=True)))
+
+
+def _drawn_of(rod: Rod, points: int, base: Array, fx: Array, fy: Array, moment: Array) -> tuple[Array, Array]:
+    """`_drawn` for any rod, of arrays (n,)."""
+    with np.errstate(all="ignore"):
+        s1, other = (
+            np.where(solved.wrong_side, np.nan, solved.s1)
+            for solved in (
+                solve("closed-form", rod, fx, fy, moment),
+                solve("closed-form", rod.mirrored(), -fx, fy, -moment),
+            )
+        )
+        force = -np.stack([fx, fy]) - rod.pull
+        s1 = np.minimum(np.where(np.isnan(s1), other, s1), 1.0)
+        s1[np.isnan(s1) & ~(np.hypot(*force) > TOLERANCE)] = 1.0
+        lines = shapes(rod, force, -moment, s1, points)
+    curved, rest = (np.stack([base + x, np.broadcast_to(y, x.shape)], axis=-1).swapaxes(0, 1) for x, y in lines)
+    return curved, rest
 
 
 def _drawn(points: int, base: Array, fx: Array, fy: Array, moment: Array) -> tuple[Array, Array]:

@@ -333,6 +333,56 @@ def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     return found
 
 
+def shapes(rod: Rod, force: Array, moment: Array, s1: Array, points: int) -> tuple[Array, Array]:
+    """`drawn` of rods that touch at arc lengths s1 (n,), under forces (2, n) and moments (n,) as of `contacts`."""
+    state = started(rod, np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
+    goes_straight = not (rod.curvature or rod.weight)
+    return drawn(rod.profile, partial(step, rod), state, s1, points, slice(3, 5), slice(5, 7), goes_straight)
+
+
+def drawn(
+    profile: Profile,
+    step: Callable[[Array, Array, Array], Array],
+    state: Array,
+    s1: Array,
+    points: int,
+    place: slice,
+    force: slice,
+    goes_straight: bool,
+) -> tuple[Array, Array]:
+    """Places (d, points, n) along rods, evenly from the clamp to contacts at arc lengths s1 (n,), and (d, q, n) on to the tip.
+
+    They are marched from states (k, n) at the clamp, of which `place` and contact `force` are rows.  The part past the contact
+    is given by its two ends if it `goes_straight`, else by as many points.
+    """
+
+    def touched(rows: Index, steps: int) -> Array:
+        ends = grid(profile, steps)
+        return sampled(step, ends, state[:, rows], np.zeros(len(rows)), s1[None, rows])[place, 0]
+
+    ends = grid(profile, enough_steps(touched, np.sqrt((state[force] ** 2).sum(axis=0))))
+    bent = sampled(step, ends, state, np.zeros(len(s1)), np.linspace(0.0, 1.0, points)[:, None] * s1)
+    free = bent[:, -1].copy()
+    free[force] = 0.0
+    part = np.linspace(0.0, 1.0, 2 if goes_straight else points)[:, None]
+    rest = sampled(step, ends, free, s1, np.minimum(s1 + part * (1 - s1), 1.0))
+    return bent[place], rest[place]
+
+
+def sampled(
+    step: Callable[[Array, Array, Array], Array], ends: Array, state: Array, begin: Array, places: Array
+) -> Array:
+    """States (k, p, n) at arc lengths `places` (p, n) of rods that are marched from states (k, n) at arc lengths `begin`
+    (n,), in steps between `ends`; NaN outside of these."""
+    found = np.full((len(state), *places.shape), np.nan)
+    for start, end in pairwise(ends.tolist()):
+        at = np.clip(begin, start, end)
+        which, row = np.nonzero((places >= at) & (places <= end))
+        found[:, which, row] = step(state[:, row], at[row], places[which, row] - at[row])
+        state = step(state, at, end - at)
+    return found
+
+
 def started(rod: Rod, slope: Array, moment: Array, place: Array, force: Array) -> Array:
     """States of rods by slopes (n,), moments (n,), places (2, n) and contact forces (2, n): these seven rows, and two of the
     rod's weight as a force if it has one."""

@@ -25,8 +25,7 @@ _WAITING = b"""<!DOCTYPE html><html lang="en"><meta charset="utf-8"><meta http-e
 class LivePage:
     """The page of a `Live` at `url`, until the ``with`` block ends: contacts so far, their force and phase, and the rod.
 
-    What the page of a scan shows of contacts is shown here four times a second.  Rods are drawn that are straight at rest,
-    uniform and weightless; of others a line from the clamp to the contact.
+    What the page of a scan shows of contacts is shown here four times a second.
     """
 
     def __init__(self, live: Live, port: int = 0) -> None:
@@ -100,13 +99,12 @@ def _table(contacts: list[LiveContact]) -> Any:
 
 def _rod(live: Live) -> Array:
     """(p, 3) the rod in the last row, from the clamp on, in the unit of contacts."""
-    row, last = live.last_row, live.contacts[-1]
+    row = live.last_row
     assert row is not None
-    metres, base = UNITS_M[live.unit], row.position_m[0]
-    touching = live.state == "touching"
-    line = np.stack([base, last.point * metres if touching else base + row.rod.length_m * row.axes()[0, 1]])
-    if touching and row.rod.is_simple:
-        curved, straight = parts.bent_rods(row, np.zeros(1, dtype=np.int64), live.model == "spatial")
-        bent = np.concatenate([curved[0], straight[0, 1:]])
+    base = row.position_m[0]
+    line = np.stack([base, base + row.rod.length_m * row.axes()[0, 1]])
+    if live.state == "touching":
+        curved, rest = parts.bent_rods(row, np.zeros(1, dtype=np.int64), live.model == "spatial")
+        bent = np.concatenate([curved[0], rest[0, 1:]])
         line = bent if np.isfinite(bent).all() else line  # a row that came in between touches nothing
-    return np.asarray(line / metres)
+    return np.asarray(line / UNITS_M[live.unit])

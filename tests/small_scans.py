@@ -14,6 +14,7 @@ from scan3d.geometry.distance import distances
 from scan3d.pictures import canvas
 from scan3d.pictures.parts import of_cloud
 from scan3d.surfaces import certificate, enclosure, surface
+from tests.rig_errors import six_axis
 
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
 FEW = ("--slices", "4", "--sweeps", "4", "--samples", "8", "--quiet")
@@ -58,6 +59,25 @@ def scanned_in_space(**raster):
     hull = surface(cloud, "hull")
     bound = certificate(enclosure(cloud), hull).at_vertices.astype(np.float32)
     return of_cloud(cloud, name="ellipsoid", surface=hull, bound=bound, recording=recording)
+
+
+def any_rod():
+    """The scene of an egg and a rod that is tapered, curved and heavy, in a clamp that gives."""
+    rod = scan3d.Rod(
+        *(0.06, 2e-4, 5e-4),
+        tip_diameter_m=2e-4,
+        curvature_per_m=-4.0,
+        weight_N=2e-3,
+        clamp_compliance_rad_per_Nm=3.0,
+    )
+    down = scan3d.Gravity((0, 0, -1), True)
+    return scanned(EGG, rod=rod, gravity=down, axis="x", slices=3, sweeps=4, samples=24)
+
+
+def any_rod_in_space():
+    """The contacts of `any_rod` by the spatial model."""
+    recording = six_axis(any_rod().recording)
+    return of_cloud(scan3d.reconstruct(recording, model="spatial"), name="egg", recording=recording)
 
 
 def rig_logs(place):

@@ -83,6 +83,10 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
     # with the contact force up to the contact and without it behind
     swept = planar.sweep(CIRCLE, 0.3, samples=40, rod=rod)
     contacts = planar.reconstruct(*swept.reactions, rod=rod)
+    lines = planar.elastic_lines(*swept.reactions, points=3, rod=rod)
+    other = planar.elastic_lines(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, points=3, rod=rod.mirrored())
+    for line, mirrored in zip(lines, other, strict=True):
+        np.testing.assert_allclose(mirrored * [-1, 1], line, atol=1e-9)
     rows = np.flatnonzero(contacts.status == Status.OK)[1::6]
     assert len(rows) >= 5
     for i in rows:
@@ -91,8 +95,11 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
         start = [np.pi / 2 - rod.compliance * swept.m0z[i], -swept.m0z[i], swept.x0[i], 0.0]
         contact = integrated(rod, force, start, (0.0, contacts.s1[i]))
         np.testing.assert_allclose(contact[2:], contacts.point[i], atol=2e-10)
+        halfway = integrated(rod, force, start, (0.0, contacts.s1[i] / 2))
+        np.testing.assert_allclose(lines.curved[i], [start[2:], halfway[2:], contact[2:]], atol=1e-9)
         tip = integrated(rod, np.zeros(2), contact, (contacts.s1[i], 1.0)) if contacts.s1[i] < 1 else contact
         assert abs(tip[1]) < 1e-9
+        np.testing.assert_allclose(lines.straight[i, [0, -1]], [contact[2:], tip[2:]], atol=1e-9)
         weight = -rod.weight * rod.down
         np.testing.assert_allclose(-force + weight, [swept.f0x[i], swept.f0y[i]], atol=1e-12)
 

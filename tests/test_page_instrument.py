@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 from browser import HEIGHT, SECONDS, WIDTH, Tab
-from small_scans import scanned_in_space
+from small_scans import any_rod, any_rod_in_space, scanned_in_space
 
 from scan3d.geometry.distance import distances
 from scan3d.pictures.page import page
-from scan3d.pictures.parts import shown_surface, shown_sweep
+from scan3d.pictures.parts import is_spatial, shown_surface, shown_sweep
 from scan3d.units import FORCES, MOMENTS, length, number
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -243,10 +243,10 @@ def test_the_page_opens_with_a_rod(browser):
     assert tab.run("player.sample - player.starts[player.sweep]") == middle
 
 
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_the_rod_in_the_page_is_the_elastic_line(shows, model, cube):
-    """Against `planar.elastic_lines`, which computes it in closed form: within a hundredth of a pixel, 1e-5 rod lengths."""
-    scene = cube if model == "planar" else scanned_in_space()
+@pytest.mark.parametrize("scanned", [None, scanned_in_space, any_rod, any_rod_in_space])
+def test_the_rod_in_the_page_is_the_elastic_line(shows, scanned, cube):
+    """Against `march.shapes`, which integrates it by another method: within a hundredth of a pixel, 1e-5 rod lengths."""
+    scene = cube if scanned is None else scanned()
     tab = shows(scene)
     sweep = shown_sweep(scene)
     samples = np.flatnonzero(scene.column("sweep") == sweep.number)
@@ -265,13 +265,13 @@ def test_the_rod_in_the_page_is_the_elastic_line(shows, model, cube):
     rows = scene.column("row")[samples].astype(int)
     zero = np.zeros(len(recording))
     wrench = np.column_stack([recording.force_N, zero]), np.column_stack([zero, zero, recording.moment_Nm])
-    if model == "spatial":
+    if is_spatial(scene):
         wrench = recording.wrench()
-    units = np.array(tab.run("[player.forceUnit, player.momentUnit]"))
-    scales = units / [recording.rod.force_unit_N, recording.rod.moment_unit_Nm]
-    for shown, scale, expected in zip((force, moment), scales, wrench, strict=True):
-        world = scale * np.einsum("ni,nij->nj", expected[rows], recording.axes()[rows])
-        assert np.abs(shown - world).max() < 1e-5 * np.abs(world).max()
+    for shown, expected in zip((force, moment), wrench, strict=True):
+        world = np.einsum("ni,nij->nj", expected[rows], recording.axes()[rows])
+        scale = np.linalg.norm(shown) / np.linalg.norm(world)
+        assert np.log10(scale) / 3 == pytest.approx(round(np.log10(scale) / 3), abs=1e-6)  # N, mN or µN
+        assert np.abs(shown - scale * world).max() < 1e-5 * np.abs(shown).max()
     assert tab.complaints() == []
 
 

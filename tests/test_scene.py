@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from shapes import unit
-from small_scans import CUBE, EGG, scanned, scanned_in_space
+from small_scans import CUBE, EGG, any_rod, any_rod_in_space, scanned, scanned_in_space
 from spatial_scans import SEMI_AXES
 
 import planar
@@ -172,7 +172,7 @@ def test_paths_of_contacts_are_broken_where_the_rod_leaves_the_body(ellipsoid):
 
 def check_lengths(sweep, scene):
     """The rod has its length, and starts along the clamp's y axis."""
-    along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.straight)]
+    along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.rest)]
     assert sum(along) == pytest.approx(np.full(len(sweep.base), 1e3 * scene.recording.rod.length_m), rel=1e-6)
     start = sweep.curved[:, 1] - sweep.curved[:, 0]
     assert (start @ sweep.axes[1] > 0.999 * np.linalg.norm(start, axis=1)).all()
@@ -196,7 +196,7 @@ def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
         check_lengths(sweep, ellipsoid)
         # past a tangential contact the rod goes straight on along its tangent, and stays outside of the body
         tangential = cloud.phase[rows] == planar.Phase.TANGENTIAL
-        rest = unit(np.diff(sweep.straight, axis=1)[tangential, 0])
+        rest = unit(np.diff(sweep.rest, axis=1)[tangential, 0])
         assert rest == pytest.approx(cloud.tangents[rows][tangential], abs=1e-6)
         semi_axes = np.array(SEMI_AXES) * 50  # mm
         assert (np.linalg.norm(sweep.rods.reshape(-1, 3) / semi_axes, axis=1) > 1.0).all()
@@ -205,6 +205,18 @@ def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
         assert np.sign(sweep_direction(sweep) @ sweep.axes[2]) == up
         sides.add(up)
     assert sides == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize("scanned", [any_rod, any_rod_in_space])
+def test_any_rod_touches_where_the_contacts_are(scanned):
+    scene = scanned()
+    assert (
+        np.abs(any_rod().contacts["quality"]).max() < 1e-7
+    )  # at touch-down there is no force, and no contact by rounding
+    sweep = shown_sweep(scene, points=500)
+    rows = scene.column("sweep") == sweep.number
+    assert np.abs(sweep.contact - scene.points[rows]).max() < 1e-6 * scene.diagonal
+    check_lengths(sweep, scene)
 
 
 def test_clamps_may_turn_during_a_sweep(ellipsoid):

@@ -223,7 +223,7 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     """
     recording = scene.recording
     assert recording is not None
-    samples = samples_of(recording, parts.recording_rows(scene, recording))
+    samples, rod = samples_of(recording, parts.recording_rows(scene, recording)), recording.rod
     rows, spatial = samples.rows, parts.is_spatial(scene)
     force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm[:, None])
     newton, force_unit = reaction_unit(float(np.abs(force[rows]).max()), FORCES)
@@ -256,16 +256,27 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
         "labels": [{"title": title, "names": names} for title, names in charts],
         "contact": _array(samples.of_contact, "u4"),
         "length": recording.rod.length_m / UNITS_M[scene.unit],
-        "forceUnit": recording.rod.force_unit_N / float(force_unit),
-        "momentUnit": recording.rod.moment_unit_Nm / float(moment_unit),
+        "rod": _rod(recording)
+        | {"units": [rod.force_unit_N / float(force_unit), rod.moment_unit_Nm / float(moment_unit)]},
         "colors": {"rod": parts.ROD, "force": parts.FORCE, "selected": parts.SELECTED, "curves": parts.REACTION_COLORS},
     }
-    if spatial:
-        angles, bending = scene.column("bending"), np.zeros(len(rows))
-        if angles is not None:
-            bending[samples.of_contact] = np.nan_to_num(angles)
-        data["bending"] = _array(bending)
+    if spatial or rod.weight_N:  # others are bent by their reactions as they are
+        data["held"] = _array(np.hstack(parts.at_clamp(recording, rows, spatial, samples.of_contact)))
     return data
+
+
+def _rod(recording: Recording) -> dict[str, Any]:
+    """The rod in rod lengths: diameters and weights past the ends of equal parts, curvature about the clamp's z, x and y."""
+    rod = recording.rod.in_space()
+    ends = np.linspace(0.0, 1.0, 129)
+    return {
+        "diameters": rod.profile.diameter(ends).tolist(),
+        "weights": rod.profile.weight_past(ends).tolist(),
+        "curvature": rod.curvature,
+        "torsion": rod.torsion,
+        "compliance": rod.compliance,
+        "gravity": recording.gravity.direction if rod.profile.weight and recording.gravity else None,
+    }
 
 
 def samples_of(recording: Recording, rows: NDArray[np.int64]) -> Samples:

@@ -63,33 +63,65 @@ function lookAtSweep() {  // from its side, with the body and the clamps of this
 
 // --- the rod of a sample ---
 
-// In rod lengths, from the reactions: φ' = κ, κ' = f0y cos φ - f0x sin φ from the clamp, φ = π/2 and κ = -m0z, to the
-// contact, κ = 0; straight from there.
-function elasticLine(fx, fy, m) {
-  const points = [[0, 0]], curvatureRate = phi => fy * Math.cos(phi) - fx * Math.sin(phi);
-  const rate = ([, , phi, kappa]) => [Math.cos(phi), Math.sin(phi), kappa, curvatureRate(phi)];
-  const move = (y, k, t) => y.map((v, i) => v + t * k[i]);
-  let state = [0, 0, Math.PI / 2, -m], s = 0, ends = m === 0;
-  const step = h => {
-    const a = rate(state), b = rate(move(state, a, h / 2)), c = rate(move(state, b, h / 2)), d = rate(move(state, c, h));
-    return state.map((v, i) => v + h / 6 * (a[i] + 2 * b[i] + 2 * c[i] + d[i]));
-  };
-  for (let k = 0; !ends && k < rodSteps; k++) {
-    let h = 1 / rodSteps, next = step(h);
-    ends = next[3] * m >= 0;  // κ has changed its sign
-    for (let i = 0; ends && i < 4; i++) {  // Newton's method for the step at whose end it is zero
-      h = Math.min(1 / rodSteps, Math.max(0, h - next[3] / curvatureRate(next[2]))); next = step(h);
+// Rods are marched in rod lengths, in the clamp's frame; a state is the place r, the tangent t, the axis d across it that turns
+// with the rod, and the moment m of the rest on what is before it.
+function turnedBy(v, turn) {  // by an angle about an axis
+  const angle = Math.hypot(...turn), axis = unitVector(turn);
+  return plus(plus(v.map(c => c * Math.cos(angle)), cross(axis, v), Math.sin(angle)), axis, dot(axis, v) * (1 - Math.cos(angle)));
+}
+
+function tabled(table, s) {  // a value at an arc length, from those at the ends of equal parts of the rod
+  const at = Math.min(1, Math.max(0, s)) * (table.length - 1), k = Math.min(Math.floor(at), table.length - 2);
+  return table[k] + (at - k) * (table[k + 1] - table[k]);
+}
+
+// r' = t, t' = u × t, d' = u × d, m' = n × t, with the curvature u by moment, stiffness and shape at rest, and the force n.
+function rates(s, [, t, d, m], force, gravity) {
+  const {diameters, weights, curvature, torsion} = player.rod, stiffness = tabled(diameters, s) ** 4, twist = dot(m, t);
+  const bend = plus(m, t, (1 / torsion - 1) * twist).map(c => c / stiffness);
+  const u = plus(plus(plus(bend, d, curvature[0]), cross(t, d), curvature[1]), t, curvature[2]);
+  return [t, cross(u, t), cross(u, d), cross(gravity ? plus(force, gravity, tabled(weights, s)) : force, t)];
+}
+
+function marchStep(state, s, h, ...forces) {  // of the Runge-Kutta method of order 4
+  const move = (k, h) => state.map((v, i) => plus(v, k[i], h));
+  const a = rates(s, state, ...forces), b = rates(s + h / 2, move(a, h / 2), ...forces);
+  const c = rates(s + h / 2, move(b, h / 2), ...forces), d = rates(s + h, move(c, h), ...forces);
+  return state.map((v, i) => plus(plus(plus(plus(v, a[i], h / 6), b[i], h / 3), c[i], h / 3), d[i], h / 6));
+}
+
+function march(state, s, ...forces) {  // the states from an arc length to the tip
+  const states = [state], count = Math.max(1, Math.ceil((1 - s) * rodSteps)), h = (1 - s) / count;
+  for (let k = 0; k < count; k++) states.push(marchStep(states[k], s + k * h, h, ...forces));
+  return states;
+}
+
+// Under the force of the contact up to the place that is nearest to it, or to the tip without one, and free from there.
+function elasticLine(force, moment, gravity, contact, atTip) {
+  const turn = moment.map(c => player.rod.compliance * c);
+  let states = march([[0, 0, 0], turnedBy([0, 1, 0], turn), turnedBy([0, 0, 1], turn), moment], 0, force, gravity), s = 1;
+  if (contact && !atTip) {
+    const away = states.map(([r]) => Math.hypot(...minus(r, contact))), nearest = away.indexOf(Math.min(...away));
+    let touching = states[nearest], h = 0;
+    for (let i = 0; i < 4; i++) {
+      h = Math.min(h - dot(minus(touching[0], contact), touching[1]), 1 - nearest / rodSteps);
+      touching = marchStep(states[nearest], nearest / rodSteps, h, force, gravity);
     }
-    state = next; s += h; points.push(state.slice(0, 2));
+    s = nearest / rodSteps + h;
+    states = [...states.slice(0, h < 0 ? nearest : nearest + 1), touching];
   }
-  const contact = points.length - 1;
-  points.push([state[0] + (1 - s) * Math.cos(state[2]), state[1] + (1 - s) * Math.sin(state[2])]);
-  return {points, contact, s1: s};
+  const free = march(states[states.length - 1], s, [0, 0, 0], gravity);
+  return {points: [...states, ...free.slice(1)].map(([r]) => r), contact: states.length - 1, s1: s};
 }
 
 function clampAxes(k) {  // x, y and z of the clamp at a sample, in the world
   const turn = 9 * player.turned.findLastIndex(from => from <= k);  // the clamp keeps its orientation until the next one
   return [0, 3, 6].map(axis => [...player.turns.subarray(turn + axis, turn + axis + 3)]);
+}
+
+function kindOf(contact) {
+  const kind = contacts.colors.find(scale => scale.kinds);
+  return kind && contact >= 0 ? kind.kinds[kind.values[contact]][0] : null;
 }
 
 const clampAt = k => [...player.position.subarray(3 * k, 3 * k + 3)];
@@ -99,14 +131,15 @@ const clampAt = k => [...player.position.subarray(3 * k, 3 * k + 3)];
 function rodAt(k) {
   const [x, y, z] = clampAxes(k), base = clampAt(k), L = player.length, v = player.reactions.subarray(player.width * k);
   const [f, m] = player.width === 6 ? [v.subarray(0, 3), v.subarray(3, 6)] : [[v[0], v[1], 0], [0, 0, v[2]]];
-  const angle = player.bending ? player.bending[k] : 0, cos = Math.cos(angle), sin = Math.sin(angle);
-  const across = plus(x.map(v => v * cos), z, sin), contact = player.contactOf[k];
-  const second = contacts.columns.recovered?.[contact] === 1, touches = contact >= 0 && !second;
-  const world = v => plus(plus(x.map(c => v[0] * c), y, v[1]), z, v[2]);
-  const line = touches ? elasticLine((f[0] * cos + f[2] * sin) / player.forceUnit, f[1] / player.forceUnit,
-    (m[2] * cos - m[0] * sin) / player.momentUnit) : elasticLine(0, 0, 0);
-  return {base, x, y, z, across, force: world(f), moment: world(m), contact: line.contact, s1: line.s1, touches,
-    points: second ? [base] : line.points.map(([u, v]) => plus(plus(base, across, L * u), y, L * v))};
+  const contact = player.contactOf[k], second = contacts.columns.recovered?.[contact] === 1, touches = contact >= 0 && !second;
+  const world = v => plus(plus(x.map(c => v[0] * c), y, v[1]), z, v[2]), local = v => [x, y, z].map(axis => dot(axis, v));
+  const place = touches && local(minus(contactPoint(contact), base)).map(c => c / L), held = player.held?.subarray(6 * k, 6 * k + 6);
+  const [force, moment] = held ? [[...held.subarray(0, 3)], [...held.subarray(3)]]
+    : [f, m].map((vector, i) => Array.from(vector, c => touches ? -c / player.rod.units[i] : 0));
+  const line = elasticLine(force, moment, player.rod.gravity && local(player.rod.gravity), place,
+    kindOf(contact) === "tip");
+  return {base, x, y, z, force: world(f), moment: world(m), contact: line.contact, s1: line.s1, touches,
+    points: second ? [base] : line.points.map(point => plus(base, world(point), L))};
 }
 
 function strip(lines, color, width) {
@@ -132,7 +165,7 @@ function arc(rod, turn) {  // an arrow around the moment's axis, beginning at th
 function buildRod() {  // what is drawn of the shown sample, and the text and curves that belong to it
   player.stale = false;
   const k = player.sample, sweep = sweepOf(k), first = player.starts[sweep], last = player.ends[sweep] - 1, L = player.length;
-  const {rod: blue, force: purple, selected} = player.colors, ink = paperOrInk("ink"), rod = rodAt(k), normal = cross(rod.across, rod.y);
+  const {rod: blue, force: purple, selected} = player.colors, ink = paperOrInk("ink"), rod = rodAt(k), normal = unitVector(rod.moment);
   const trace = [...player.contactOf.subarray(first, k + 1)].filter(contact => contact >= 0).flatMap(contactPoint);
   player.lines.forEach(line => gl.deleteBuffer(line.buffer));
   player.lines = [strip([[clampAt(first), clampAt(last)]], "#8a8a8a", 1.2)];
@@ -150,9 +183,9 @@ function buildRod() {  // what is drawn of the shown sample, and the text and cu
 }
 
 function describe(k, sweep, rod) {
-  const contact = player.contactOf[k], {columns, colors} = contacts, kind = colors.find(scale => scale.kinds);
+  const contact = player.contactOf[k], {columns} = contacts, kind = kindOf(contact);
   const slice = columns.slice && contact >= 0 ? `, slice ${columns.slice[contact]}` : "";
-  const what = contact < 0 ? "no contact" : kind ? kind.kinds[kind.values[contact]][0] + " contact" : "contact";
+  const what = contact < 0 ? "no contact" : kind ? kind + " contact" : "contact";
   const value = ([name, unit], i) => `${name} = ${number(player.reactions[player.width * k + i])} ${unit}`;
   const values = player.names.map(value).map(text => text.replaceAll(" ", "\u00a0")).join(", ");
   now.textContent = `sweep ${player.numbers[sweep]} (no. ${sweep + 1} of ${player.numbers.length} with contact)${slice}, `

@@ -20,7 +20,7 @@ from scan3d.files.shapes import cloud_table, scale_lengths
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.recording import Recording
-from scan3d.spatial import inverse
+from scan3d.spatial import inverse, march
 from scan3d.units import UNITS_M, angle, force, lengths, number, unit_for
 
 
@@ -458,8 +458,8 @@ class ShownSweep:
     """(k, 3, 3) the clamp's x, y and z axes, as rows"""
     curved: Array
     """(k, p, 3) the rod from the clamp to the contact"""
-    straight: Array
-    """(k, 2, 3) the straight rest of the rod, from the contact to the tip"""
+    rest: Array
+    """(k, q, 3) the rest of the rod, from the contact to the tip"""
 
     @property
     def axes(self) -> Array:
@@ -473,8 +473,8 @@ class ShownSweep:
 
     @property
     def rods(self) -> Array:
-        """(k, p + 1, 3) the rod from the clamp to the tip"""
-        return np.concatenate([self.curved, self.straight[:, 1:]], axis=1)
+        """(k, p + q - 1, 3) the rod from the clamp to the tip"""
+        return np.concatenate([self.curved, self.rest[:, 1:]], axis=1)
 
 
 def has_rods(scene: Scene) -> bool:
@@ -496,8 +496,8 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     chosen = most_informative_sweep(scene) if number is None else number
     selected = sweeps == chosen
     rows = recording_rows(scene, recording)[selected]
-    curved, straight = bent_rods(recording, rows, is_spatial(scene), points)
-    finite = np.isfinite(curved).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2))
+    curved, rest = bent_rods(recording, rows, is_spatial(scene), points)
+    finite = np.isfinite(curved).all(axis=(1, 2)) & np.isfinite(rest).all(axis=(1, 2))
     kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
     scale = 1 / UNITS_M[scene.unit]
     return ShownSweep(
@@ -506,28 +506,53 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         base=recording.position_m[rows][kept] * scale,
         turns=recording.axes()[rows][kept],
         curved=curved[kept] * scale,
-        straight=straight[kept] * scale,
+        rest=rest[kept] * scale,
     )
 
 
 def bent_rods(recording: Recording, rows: NDArray[np.int64], spatial: bool, points: int = 60) -> tuple[Array, Array]:
-    """Rods (k, p, 3) from the clamp to the contact in some rows, and their straight rests (k, 2, 3), in metres.
+    """Rods (k, p, 3) from the clamp to the contact in some rows, and their rests (k, q, 3) up to the tip, in metres.
 
-    `spatial` rods bend in a plane of their own, others in the clamp's plane of x and y.
+    `spatial` rods bend as all six reactions say, others in the clamp's plane of x and y.  Raises InputError without the six.
     """
-    rod, axes, base = recording.rod, recording.axes()[rows], recording.position_m[rows]
-    if spatial:
-        in_plane, plane = _spatial_reactions(recording, rows, axes)
-    else:
-        force = recording.force_N[rows] / rod.force_unit_N
-        in_plane = np.column_stack([force, recording.moment_Nm[rows] / rod.moment_unit_Nm])
-        plane = axes[:, :2]
-    across, along, moment = in_plane.T
-    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
-    curved, straight = (
-        base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, plane) for line in (lines.curved, lines.straight)
-    )
-    return curved, straight
+    axes, base, down = recording.axes()[rows], recording.position_m[rows], recording.down()
+    force, moment = _reactions(recording, rows, spatial)
+    lines = march.shapes(recording.rod.in_space(), force.T, moment.T, None if down is None else down[rows].T, points)
+    bent, rest = (base[:, None] + recording.rod.length_m * np.einsum("ipn,nij->npj", line, axes) for line in lines)
+    return bent, rest
+
+
+def at_clamp(
+    recording: Recording, rows: NDArray[np.int64], spatial: bool, touching: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Contact forces and moments at the clamp (k, 3) that bend the rods of some rows, in EI/L² and EI/L in the clamp's frame.
+
+    Of the rows those numbered `touching` have a contact.
+    """
+    down, rod = recording.down(), recording.rod.in_space()
+    force, moment = np.zeros((2, len(rows), 3))
+    if down is not None:
+        moment = -march.free_reactions(rod, down[rows].T)[1].T
+    held = _reactions(recording, rows[touching], spatial)
+    force[touching], moment[touching] = (-part for part in held)
+    if down is not None:
+        force[touching] -= rod.profile.weight * down[rows[touching]]
+    return force, moment
+
+
+def _reactions(recording: Recording, rows: NDArray[np.int64], spatial: bool) -> tuple[Array, Array]:
+    """Support reactions (k, 3) of rods as they are drawn, in EI/L² and EI/L in the clamp's frame.
+
+    A rod that is straight at rest, uniform and weightless bends in a plane: of six reactions those in it are kept, as
+    `spatial.inverse.reconstruct` finds it.
+    """
+    force, moment = (columns[rows] for columns in recording.reactions(spatial))
+    if not (spatial and recording.rod.is_simple):
+        return force, moment
+    bending = inverse.reconstruct(force, moment, noise=recording.noise.of_reactions(recording.rod)).bending
+    about = np.cross(bending, [0.0, 1.0, 0.0])
+    across, turning = (np.einsum("ni,ni->n", *pair)[:, None] for pair in ((force, bending), (moment, about)))
+    return across * bending + force * [0.0, 1.0, 0.0], turning * about
 
 
 def sweep_direction(sweep: ShownSweep) -> Array:
@@ -542,34 +567,16 @@ def is_spatial(scene: Scene) -> bool:
     return scene.column("slice") is None
 
 
-def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Array) -> tuple[Array, Array]:
-    """The reactions (n, 3) of some rows in the plane of bending, and its directions (n, 2, 3).
-
-    The plane contains the undeformed rod and the direction ``e`` to which it bends; in it the rod is that of the plane with the
-    reactions ``f0·e``, ``f0·t0`` and ``m0·b`` about its normal ``b = e × t0``.  Raises InputError without six axes.
-    """
-    rod, noise = recording.rod, recording.noise
-    force, moment = (columns[rows] for columns in recording.wrench())
-    force, moment = force / rod.force_unit_N, moment / rod.moment_unit_Nm
-    deviations = noise.force_N / rod.force_unit_N, noise.moment_Nm / rod.moment_unit_Nm
-    bending = inverse.reconstruct(force, moment, noise=deviations).bending
-    across = np.einsum("ni,ni->n", force, bending)
-    about = moment[:, 2] * bending[:, 0] - moment[:, 0] * bending[:, 2]
-    plane = np.stack([np.einsum("ni,nij->nj", bending, axes), axes[:, 1]], axis=1)
-    return np.column_stack([across, force[:, 1], about]), plane
-
-
 def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     """(n,) rows of the recording that the contacts come from."""
     rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
         # in the plane of a sweep, or of all channels, as those of probings are
-        read = [recording.force_N, *([recording.wrench()[0]] if recording.six_axis else [])]
-        same = recovered(scene)
-        for components in read:
-            of_recording = np.linalg.norm(components[indices], axis=1)
-            same = same | (forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=0))
+        same, unit = recovered(scene), recording.rod.force_unit_N
+        for six_axis in {False, recording.six_axis}:
+            of_recording = unit * np.linalg.norm(recording.pressing(six_axis)[indices], axis=1)
+            same = same | (forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=planar.TOLERANCE * unit))
         if np.array_equal(recording.sweep[indices], sweeps) and np.all(same):
             return indices
     raise InputError(

@@ -168,7 +168,7 @@ def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
 def _sweep_canvas(scene: Scene, sweep: parts.ShownSweep, sheet: Sheet) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
     x, _, z = sweep.axes
-    rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
+    rod_points = np.concatenate([sweep.rest[:, -1], sweep.base, sweep.contact])
     margin = np.array([0.12, -0.12])  # its arrow is clear of the clamps
     base_line = sweep.base[[0, -1]] + np.outer(margin, np.linalg.norm(sweep.base[0] - sweep.base[-1]) * x)
     body = scene.truth if scene.truth is not None else scene.surface

@@ -560,7 +560,9 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
     if down is not None and plan.gravity is not None:
         force, moment = free_reactions(rod.in_space(), down.T)
         in_air = np.stack([*force[:2], moment[2]], axis=1)[of_sweep[known]]
-        wrench = np.nan_to_num(wrench - in_air) + (0.0 if plan.gravity.tared else in_air)
+        added = np.nan_to_num(wrench - in_air)
+        added[np.hypot(*added.T[:2]) <= planar.TOLERANCE] = 0.0  # at touch-down the difference is rounding
+        wrench = added + (0.0 if plan.gravity.tared else in_air)
     source = {} if scans[0].convex else {"convex": False, "unresolved": int((~known).sum())}
     return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source)
 

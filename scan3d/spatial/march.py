@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from planar.rods import PLACES, STEPS, TRIED, Profile, along, crossings, enough_steps, grid, tableau
+from planar.rods import PLACES, STEPS, TRIED, Profile, along, crossings, drawn, enough_steps, grid, tableau
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
@@ -133,6 +133,18 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
     steps = steps or enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1)
     found = marched(np.arange(force.shape[1]), steps)
     return Ends(found[:3], found[3:], steps)
+
+
+def shapes(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None, points: int) -> tuple[Array, Array]:
+    """`planar.rods.drawn` in the clamp's frame, by support reactions and gravity as of `contacts`; NaN without a contact.
+
+    A rod without contact force has the shape at rest.
+    """
+    start, contact_force = _clamped(rod, force, moment, gravity)
+    s1 = np.minimum(contacts(rod, force, moment, gravity).s1, 1.0)
+    s1[np.isnan(s1) & ~(np.sqrt((contact_force**2).sum(axis=0)) > PLACES)] = 1.0
+    goes_straight = not (rod.profile.weight or any(rod.curvature))
+    return drawn(rod.profile, partial(_step, rod), start, s1, points, _R, _N, goes_straight)
 
 
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
