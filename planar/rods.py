@@ -35,7 +35,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
@@ -229,17 +229,14 @@ def contacts(rod: Rod, force: Array, moment: Array, within: float = PLACES) -> M
 
     Places are right `within` that.
     """
-    known: dict[int, Marched] = {}
 
-    def places(rows: Index, steps: int) -> Array:
-        found = known[steps] = _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
-        return np.stack([found.s1, found.x, found.y])
+    def marched(rows: Index | slice, steps: int) -> Marched:
+        return _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
 
-    steps = enough_steps(places, np.hypot(*force) + np.abs(moment), within=within)
-    if 0 < len(moment) <= TRIED:
-        return known[steps]
-    blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
-    parts = [_contacts(rod.rows(rows), force[:, rows], moment[rows], steps) for rows in blocks]
+    steps, found = enough_steps(marched, np.hypot(*force) + np.abs(moment), places=slice(3), within=within)
+    if len(moment) <= TRIED:
+        return found
+    parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, len(moment), _BLOCK)]
     return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -254,11 +251,20 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
 
 
-def enough_steps(march: Callable[[Index, int], Array], size: Array, steps: int = STEPS, within: float = PLACES) -> int:
-    """The number of steps, at least so many: more and more until two runs agree `within` that on some rows, at most `TRIED` and
-    those of the largest `size` (n,) among them.
+Found = TypeVar("Found", bound=tuple[Any, ...])
 
-    `march` gives places of rows by a number of steps.
+
+def enough_steps(
+    march: Callable[[Index, int], Found],
+    size: Array,
+    places: slice = slice(None),
+    steps: int = STEPS,
+    within: float = PLACES,
+) -> tuple[int, Found]:
+    """The number of steps, at least so many, by which places are right `within` that, and what is marched by it.
+
+    `march` gives columns for some rows by a number of steps, of which `places` are compared.  The rows are all up to `TRIED` of
+    them, or so many of all sizes (n,).  From `STEPS` on the errors of the finer of two runs are smaller by the eighth power.
     """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
     # some rows of all sizes tell how many steps are enough
@@ -269,10 +275,15 @@ def enough_steps(march: Callable[[Index, int], Array], size: Array, steps: int =
     while steps < 256:
         more = max(round(1.5 * steps), steps + 1)
         finer = march(rows, more)
-        if not ((np.abs(finer - last) > within) | (np.isnan(finer) != np.isnan(last))).any():
+        before, after = (np.concatenate([np.atleast_2d(column) for column in found[places]]) for found in (last, finer))
+        change = np.where(np.isnan(before) & np.isnan(after), 0.0, np.abs(after - before))
+        if (change <= within).all():
             break
+        close = steps >= STEPS and (change <= within * ((more / steps) ** 8 - 1)).all()
         steps, last = more, finer
-    return steps
+        if close:
+            break
+    return steps, last
 
 
 @lru_cache(maxsize=64)
@@ -356,11 +367,11 @@ def drawn(
     is given by its two ends if it `goes_straight`, else by as many points.
     """
 
-    def touched(rows: Index, steps: int) -> Array:
+    def touched(rows: Index, steps: int) -> tuple[Array]:
         ends = grid(profile, steps)
-        return sampled(step, ends, state[:, rows], np.zeros(len(rows)), s1[None, rows])[place, 0]
+        return (sampled(step, ends, state[:, rows], np.zeros(len(rows)), s1[None, rows])[place, 0],)
 
-    ends = grid(profile, enough_steps(touched, np.sqrt((state[force] ** 2).sum(axis=0))))
+    ends = grid(profile, enough_steps(touched, np.sqrt((state[force] ** 2).sum(axis=0)))[0])
     bent = sampled(step, ends, state, np.zeros(len(s1)), np.linspace(0.0, 1.0, points)[:, None] * s1)
     free = bent[:, -1].copy()
     free[force] = 0.0

@@ -91,17 +91,15 @@ def contacts(
     right `within` that.  Raises ValueError for a weight without gravity.
     """
     start, contact_force = _clamped(rod, force, moment, gravity)
-    known: dict[int, Marched] = {}
 
-    def places(rows: Index, steps: int) -> Array:
-        known[steps] = _contacts(rod, start[:, rows], contact_force[:, rows], steps)
-        return known[steps].point
+    def marched(rows: Index | slice, steps: int) -> Marched:
+        return _contacts(rod, start[:, rows], contact_force[:, rows], steps)
 
-    steps = steps or enough_steps(places, np.abs(start[:6]).sum(axis=0), within=within)
-    if steps in known and force.shape[1] <= TRIED:
-        return known[steps]
-    blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
-    parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
+    if steps is None:
+        steps, found = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(1, 2), within=within)
+        if force.shape[1] <= TRIED:
+            return found
+    parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
 
@@ -123,16 +121,16 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
     """
     start, _ = _clamped(rod, force, moment, gravity)
 
-    def marched(rows: Index, steps: int) -> Array:
+    def marched(rows: Index | slice, steps: int) -> Ends:
         state = start[:, rows]
         for at, end in pairwise(grid(rod.profile, steps).tolist()):
             state = _step(rod, state, at, end - at)
-        return np.concatenate([state[_R], _rotated(state[_Q], state[_M])])
+        return Ends(state[_R], _rotated(state[_Q], state[_M]), steps)
 
     # rods that are touched at their ends may be bent so little that one step is enough
-    steps = steps or enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=1)
-    found = marched(np.arange(force.shape[1]), steps)
-    return Ends(found[:3], found[3:], steps)
+    if steps is None:
+        steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(2), steps=1)
+    return marched(slice(None), steps)
 
 
 def shapes(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None, points: int) -> tuple[Array, Array]:
