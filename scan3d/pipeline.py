@@ -120,7 +120,7 @@ def reconstruct(
     """Analyse a recording or touches of another probe, and write the results into the folder `out`: analysis and report.
 
     read
-        gives the recording, or the cloud of touches, whose file is the input ``touches``, and the true body, or None.
+        gives the recording, or the cloud of touches, whose files are the inputs ``touches ...``, and the true body, or None.
     settings
         those of the run, with the ``method`` of the surface, which the report repeats.
 
@@ -147,11 +147,13 @@ def _performed(
     clock = Clock()
     with Drawing() as drawing:
         measured, truth = record(clock)
-        files, touches = {}, result.inputs.get("touches")
+        files = {}
         if isinstance(measured, Recording) and not result.reads_recording:
             with clock("write"):
                 files = recording_files(measured, RECORDING[0])
-        source = {"file": Path(touches).name, "sha256": sha256(Path(touches))} if touches else {}
+        touches = [Path(path) for name, path in result.inputs.items() if path and name.startswith("touches")]
+        sources = [{"file": path.name, "sha256": sha256(path)} for path in touches]
+        source = sources[0] | ({"further": sources[1:]} if len(sources) > 1 else {}) if sources else {}
 
         scenes: list[Scene] = []
         draw = partial(_begin, drawing, truth, scenes)

@@ -33,7 +33,7 @@ from scan3d.errors import InputError, NoBodyError, import_open3d
 from scan3d.files import whole
 from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
-from scan3d.files.points import Points, read_points
+from scan3d.files.points import Points, read_all_points
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import (
     COVARIANCE,
@@ -146,8 +146,9 @@ def calibrate(
 
 @_described_by(
     cloud_of_touches,
-    "The points may be given as the path of a ``.csv``, ``.ply``, ``.pcd`` or ``.xyz`` with the columns x, y, z, and where\n"
-    "    they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.  What the file states comes first, and its unit.",
+    "The points may be given as the path of a ``.csv``, ``.ply``, ``.pcd`` or ``.xyz``, or as several paths, with the columns\n"
+    "    x, y, z, and where they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.  What a file states comes\n"
+    "    first, and its unit.",
 )
 def touches(
     points: Any,
@@ -161,7 +162,8 @@ def touches(
 ) -> Cloud:
     check_unit(unit)
     stated: str | None = unit
-    read = read_points(Path(points)) if isinstance(points, (str, os.PathLike)) else points
+    paths = points if isinstance(points, (list, tuple)) else [points]
+    read = read_all_points(paths) if paths and all(isinstance(path, (str, os.PathLike)) for path in paths) else points
     if isinstance(read, Points):
         if unit and read.unit not in (None, unit):
             raise InputError(

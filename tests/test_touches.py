@@ -1,5 +1,7 @@
 """Touches of other probes: places and normals with known errors of known bodies, and files of them."""
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,6 +9,7 @@ import trimesh
 import scan3d
 from scan3d.bounds import certificate, enclosure
 from scan3d.bounds.planes import outer_body, planes_of_touches
+from scan3d.cli import main
 from scan3d.files.points import read_points
 from scan3d.files.shapes import export
 from scan3d.geometry.hulls import hull
@@ -177,6 +180,34 @@ def test_tables_of_other_programs(text, expected, tmp_path):
     found = read_points(path)
     for name, values in expected.items():
         assert found.columns[name] == pytest.approx(np.array(values, dtype=float))
+
+
+def test_clouds_of_several_rods_are_one(tmp_path):
+    rng, paths = np.random.default_rng(0), []
+    normals = rng.normal(size=(600, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for k, unit in enumerate(("mm", "m")):
+        rows, size = slice(k, None, 2), {"mm": 1.0, "m": 1e-3}[unit]
+        head = f"x_{unit},y_{unit},z_{unit},nx,ny,nz,place_sd_{unit}"
+        values = np.hstack([20 * size * normals[rows], normals[rows], np.full((300, 1), 0.01 * size)])
+        np.savetxt(tmp_path / f"{unit}.csv", values, "%.17g", ",", header=head, comments="")
+        paths.append(tmp_path / f"{unit}.csv")
+    order = np.r_[0:600:2, 1:600:2]
+    cloud = scan3d.touches(paths)
+    assert cloud.points == pytest.approx(20 * normals[order], abs=1e-12)
+    assert cloud.normals == pytest.approx(normals[order], abs=1e-12)
+    assert cloud.place_sd == pytest.approx(0.01)
+    assert cloud.unit == "mm"
+    out = tmp_path / "both"
+    assert main(["surface", *map(str, paths), "--out", str(out), "--quiet"]) == 0
+    source = json.loads((out / "report.json").read_text())["source"]
+    assert [source["file"], source["further"][0]["file"]] == ["mm.csv", "m.csv"]
+    (tmp_path / "plain.csv").write_text("x,y,z\n1,2,3\n")
+    with pytest.raises(scan3d.InputError, match=r"mm\.csv states its unit and plain\.csv does not"):
+        scan3d.touches([paths[0], tmp_path / "plain.csv"])
+    (tmp_path / "exact.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
+    with pytest.raises(scan3d.InputError, match=r"exact\.csv has no column place_sd, as others have"):
+        scan3d.touches([paths[0], tmp_path / "exact.csv"])
 
 
 def test_clouds_of_cameras_with_places_that_are_missing(tmp_path):

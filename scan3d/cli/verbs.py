@@ -296,7 +296,7 @@ def reconstruct(
 
 
 def surface(
-    points: Annotated[Path, Parameter(metavar="POINTS")],
+    points: Annotated[list[Path], Parameter(metavar="POINTS...")],
     /,
     *,
     out: Folder | None = None,
@@ -320,12 +320,13 @@ def surface(
     For example:
       scan3d surface touches.csv --out out
       scan3d surface cmm.xyz --unit in --place-sd 0.0002 --out out
+      scan3d surface rod1-scan/cloud.ply rod2-scan/cloud.ply --out both
       scan3d surface robot.pcd --unit m --place-sd 0.0005 --normal-sd 0.05 --truth part.stl --out out
 
     Parameters
     ----------
     points
-        a .csv, .ply, .pcd, .xyz or .txt with a touch in each row
+        a .csv, .ply, .pcd, .xyz or .txt with a touch in each row, or several of one body, as of the rods of an array
     out
         folder for the results (default: beside the file, such as touches-scan; touches-scan-2 if that exists)
     truth
@@ -345,17 +346,17 @@ def surface(
     """
     from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.points import read_points
+    from scan3d.files.points import read_all_points
     from scan3d.results import touches
     from scan3d.surfaces.open3d_methods import check_method
 
     check_method(method)
-    out = out or _beside(points)
+    out = out or _beside(points[0])
 
     def read() -> tuple[Any, Any]:
-        file = read_points(points)
+        file = read_all_points(points)
         if file.left_out:
-            output.progress.say(f"{file.left_out} rows of {points.name} have no place, and are left out")
+            output.progress.say(f"{file.left_out} rows of {file.name} have no place, and are left out")
         cloud = touches(file, place_sd=place_sd, normal_sd=normal_sd, unit=unit, table=table)
         return cloud, None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
 
@@ -363,7 +364,7 @@ def surface(
         read,
         out,
         settings={"method": method, "place_sd": place_sd, "normal_sd": normal_sd, "table": table},
-        inputs={"touches": points, "true body": truth},
+        inputs={**{f"touches {k}": path for k, path in enumerate(points, 1)}, "true body": truth},
         overwrite=overwrite,
         notify=output.progress.say,
     )

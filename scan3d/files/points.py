@@ -6,7 +6,7 @@ Text in columns, PLY and the Point Cloud Library's PCD are read, with the column
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +72,33 @@ def read_points(path: str | Path) -> Points:
     else:
         columns = _text(path)
     return _named(path.name, columns, comments)
+
+
+def read_all_points(paths: Sequence[str | Path]) -> Points:
+    """The touches of one body in several files, such as the clouds of the rods of an array, one after the other.
+
+    Lengths become those of the first file; normals may be missing in some.  Raises InputError as `read_points`, for deviations
+    that only some of the files have, and for a unit that only some of them state.
+    """
+    parts = [read_points(path) for path in paths]
+    first = parts[0]
+    stated, unstated = ([part.name for part in parts if (part.unit is None) == unknown] for unknown in (False, True))
+    if stated and unstated:
+        raise InputError(
+            f"{stated[0]} states its unit and {unstated[0]} does not: name columns x_mm, y_mm and z_mm, or so"
+        )
+    columns: dict[str, Array] = {}
+    for name in (name for name in _WANTED if any(name in part.columns for part in parts)):
+        if (missing := [part.name for part in parts if name not in part.columns]) and name not in NORMAL:
+            raise InputError(f"{missing[0]} has no column {name}, as others have: state it in all files, or in none")
+        power = 2 if name in COVARIANCE else 1 if name in (*POINT, "place_sd") else 0
+        values = []
+        for part in parts:
+            scale = UNITS_M[part.unit or "m"] / UNITS_M[first.unit or "m"]
+            unknown = np.full(len(part.columns["x"]), np.nan)
+            values.append(part.columns.get(name, unknown) * scale**power)
+        columns[name] = np.concatenate(values)
+    return Points(", ".join(part.name for part in parts), columns, first.unit, sum(part.left_out for part in parts))
 
 
 def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, ...]) -> Points:
