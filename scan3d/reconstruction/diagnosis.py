@@ -543,8 +543,11 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         if all(trial.misfit + trial.left.level > _OF_NUMBERS**2 * before for trial in fitting):
             group = [cause for cause in tried if (cause.family == "rod") == of_rod]
             evaluations = _FEW if of_rod else _EVALUATIONS
-            trials = [_refined(*hopeful, sample, evaluations) for hopeful in _searched(group, few)]
-            fitting += [trial for trial in trials if trial.explains(before) >= 0.8 and trial.fits(before)]
+            trials = [_refined(*start, sample, evaluations) for start in _searched(group, few)]
+            hopeful = [trial for trial in trials if trial.explains(before) >= 0.8]
+            # along a flat valley the evaluations may end before the least misfit
+            again = [t if t.fits(before) else _refined(t.cause, t.numbers, sample, evaluations) for t in hopeful]
+            fitting += [trial for trial in again if trial.fits(before)]
     if all(trial.left.level > before for trial in fitting):  # errors that hide any misfit explain none
         about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
         # makers of sensors state a cross-talk of 1 %: so small a moment along the force proves no second contact
