@@ -45,7 +45,7 @@ from scan3d.surfaces import surface
 from scan3d.surfaces.any_shape import any_shape, shape_of_touches, with_estimated_normals, with_surface_normals
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
-from scan3d.workers import said_if_ended, tell
+from scan3d.workers import in_one_thread, said_if_ended, tell
 
 Notify = Callable[[str], None]
 """Is called with a sentence on what a user should know, such as that pictures cannot be rendered."""
@@ -65,6 +65,7 @@ class Clock:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
+@in_one_thread
 def scan(
     mesh: Any,
     chosen: Settings,
@@ -107,6 +108,7 @@ def scan(
         return _performed(record, result, settings, chosen.method, None, notify)
 
 
+@in_one_thread
 def reconstruct(
     read: Callable[[], tuple[Recording | Cloud, Any]],
     out: str | Path,
@@ -175,6 +177,7 @@ def with_origin(recording: Recording, body: Any) -> Recording:
     return replace(recording, source={**recording.source, **origin})
 
 
+@in_one_thread
 def analyse(
     measured: Recording | Cloud,
     truth: Any = None,

@@ -65,7 +65,7 @@ from scan3d.simulation.scan import Progress
 from scan3d.simulation.scan import simulate as simulate_scan
 from scan3d.surfaces import choice
 from scan3d.units import UNITS_M, Unit, check_unit, unit_of, unit_remark
-from scan3d.workers import counted
+from scan3d.workers import counted, in_one_thread
 
 if TYPE_CHECKING:
     import pandas
@@ -92,6 +92,7 @@ def _described_by(inner: Callable[..., Any], further: str) -> Callable[[_Step], 
 
 
 @_described_by(simulate_scan, "The mesh may be given as the path of its file, which is read by `scan3d.load_mesh`.")
+@in_one_thread
 def simulate(mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
     if isinstance(mesh, (str, os.PathLike)):
         mesh = load_mesh(mesh, unit=(plan or Plan()).unit)
@@ -99,11 +100,13 @@ def simulate(mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: 
 
 
 @_described_by(reconstruct_contacts, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
+@in_one_thread
 def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
     return reconstruct_contacts(_recording(recording), method, model)
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")
+@in_one_thread
 def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None = None) -> trimesh.Trimesh:
     mesh: trimesh.Trimesh = choice.surface(cloud, method, bounds=bounds)
     mesh.units = cloud.unit
@@ -115,6 +118,7 @@ def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None =
     "Either may be given as the path of a mesh file, whose triangles are taken as they are.  A warning says so if the "
     "sizes\n    differ by a factor between units, such as 10, 25.4 or 1000.",
 )
+@in_one_thread
 def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
     paths = [Path(given) for given in (surface, mesh) if isinstance(given, (str, os.PathLike))]
     stated = [getattr(given, "units", None) for given in (surface, mesh)]
@@ -130,6 +134,7 @@ def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> 
 
 
 @_described_by(calibrate_rig, "The recording may be given as the path of its file.")
+@in_one_thread
 def calibrate(
     recording: Recording | _Path,
     reference: float | Literal["plane"] | None = None,
@@ -150,6 +155,7 @@ def calibrate(
     "    x, y, z, and where they are known nx, ny, nz, place_sd, normal_sd and cov_xx to cov_zz.  What a file states comes\n"
     "    first, and its unit.",
 )
+@in_one_thread
 def touches(
     points: Any,
     normals: Any = None,

@@ -31,6 +31,7 @@ from scan3d.report import Analysis, touched
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.units import UNITS_M, length, share
+from scan3d.workers import in_one_thread
 
 if TYPE_CHECKING:
     import trimesh
@@ -71,6 +72,7 @@ class Session(Described):
         self._recordings: list[Recording] = []
         self._last: Analysis | None = None
 
+    @in_one_thread
     def ask(self, sweeps: int = 24) -> PoseList | None:
         """The poses of the next sweeps: first those of the plan, then about `sweeps` where most room is left for the body.
 

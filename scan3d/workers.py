@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ContextDecorator, ExitStack, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -54,6 +54,34 @@ def compute_algebra_in_one_thread() -> None:
     """
     for name in ALGEBRA:
         os.environ.setdefault(name, "1")
+
+
+class _OneThread(ContextDecorator):
+    """Within it linear algebra uses one thread, unless the environment states how many; afterwards as many as before.
+
+    The command needs it less, whose libraries begin with one, than programs whose processes have other work as well.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._limit = threading.Lock(), 0, ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1 and not any(name in os.environ for name in ALGEBRA):
+                import scipy.linalg  # noqa: F401 - what is loaded later is not limited
+                from threadpoolctl import threadpool_limits
+
+                self._limit.enter_context(threadpool_limits(1, user_api="blas"))
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:  # by any thread; after several at a time OpenBLAS may stay with one
+                self._limit.close()
+
+
+in_one_thread = _OneThread()
 
 
 @contextmanager

@@ -150,6 +150,16 @@ def test_live_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(rows[:, :3], points, atol=1e-6)
 
 
+@pytest.mark.slow
+def test_gaussian_process(capsys: pytest.CaptureFixture[str]) -> None:
+    example("gaussian_process").main([str(EGG), "--touches", "150"])
+    _, _, by_process, by_scan3d = capsys.readouterr().out.splitlines()
+    for row in (by_process, by_scan3d):
+        assert 0 < float(re.findall(r"([\d.]+)%", row)[0]) < 5
+    assert 50 < float(re.search(r"holds of (\d+)%", by_process)[1]) <= 100
+    assert "at most" in by_scan3d
+
+
 def test_mujoco_log() -> None:
     script = example("mujoco_log")
     if importlib.util.find_spec("mujoco") is None:

@@ -9,8 +9,9 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from scan3d.workers import Workers
+from scan3d.workers import ALGEBRA, Workers, in_one_thread
 
 
 def is_alive(pid):
@@ -43,6 +44,27 @@ def test_commands_use_one_thread_for_linear_algebra_unless_told_otherwise(stated
         [sys.executable, "-c", code], env={**environment, **stated}, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == ["0", "False", used]
+
+
+def test_functions_use_one_thread_for_linear_algebra_and_give_the_others_back(monkeypatch):
+    for name in ALGEBRA:
+        monkeypatch.delenv(name, raising=False)
+
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    @in_one_thread
+    def within():
+        raise ZeroDivisionError(threads())
+
+    with threadpool_limits(2, user_api="blas"):
+        for _ in range(2):  # in a nested call as well
+            with pytest.raises(ZeroDivisionError, match=r"\{1\}"), in_one_thread:
+                within()
+            assert threads() == {2}
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with threadpool_limits(2, user_api="blas"), pytest.raises(ZeroDivisionError, match=r"\{2\}"):
+        within()
 
 
 def test_workers_have_one_thread_each_and_die_alone(monkeypatch):

@@ -20,6 +20,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import DENT_TOLERANCE, hull, vertices_of
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.agreement import Contradiction
+from scan3d.reconstruction.normals import with_smooth_fit
 from scan3d.recording import LARGEST_OVER_SD, rounding_sd
 from scan3d.units import check_unit, length, share
 
@@ -118,7 +119,8 @@ def touches(
         return replace(cloud, convex=False)
     # what the touches of a body that counts as convex contradict that by, its bounds allow for
     off = max(float(test(cloud, 0.0).max()) for test in (inside_hull, beyond_planes))
-    return replace(cloud, pose_error=cloud.pose_error + min(off, DENT_TOLERANCE * size))
+    cloud = replace(cloud, pose_error=cloud.pose_error + min(off, DENT_TOLERANCE * size))
+    return replace(cloud, fit=with_smooth_fit(cloud).fit)  # of which the measured normals are not replaced
 
 
 def inside_hull(cloud: Cloud, tolerance: float = DENT_TOLERANCE) -> Array:
