@@ -37,6 +37,8 @@ _WINDOW = 64
 # Rows by which the zero of a sensor is found, and its noise to 7 %.
 _AIR = 100
 _FIRST = np.zeros(1, dtype=np.intp)
+# Turn in radians, and way in rod lengths, by which the clamp leaves the plane of a sweep.
+_APART = 1e-3
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,10 @@ class Live:
         self._filter: tuple[Array, Array] | None = None
         self._rows: list[Recording] = []
         self._last: deque[Array] = deque(maxlen=_WINDOW)
-        self._touches, self._pressed = 0, False
+        self.last_row: Recording | None = None
+        """The last row, as a recording of one: tared and corrected; None before there is one."""
+        self._sweep, self._begin, self._touched, self._pressed = -1, self._like, False, False
+        self._waiting_rows: list[Recording] = []
         self.contacts: list[LiveContact] = []
         """The contacts so far."""
         self.tare()
@@ -155,7 +160,8 @@ class Live:
         position, quaternion, wrench
             (3,) in metres, (4,) w first, and (6,) force and moment in N and N m; of the planar model (3,) fx, fy and mz.
         sweep
-            number of the sweep; by default each touch is one.
+            number of the sweep; by default each touch is one, with the rows in the air in its plane before and after it, and
+            rows in the air between two planes are not kept.
 
         Raises InputError for other shapes, and for quaternions without unit length.
         """
@@ -184,21 +190,45 @@ class Live:
     def _judged(self, t: float, row: Recording, sweep: int | None) -> LiveContact | None:
         """The contact of a row that is tared and corrected; it is kept."""
         pressed = bool(felt(row.pressing(self.model == "spatial"), row.noise.of_reactions(row.rod))[0])
-        self._touches += pressed and not self._pressed
-        self._pressed = pressed
-        row.__dict__["sweep"] = np.array([max(self._touches - 1, 0) if sweep is None else sweep])
+        rings = pressed and self._rings()
+        if rings:
+            row = of_checked(row, **reaction_columns(np.zeros((1, 3)), np.zeros((1, 3)), self.model == "spatial"))
+        rows = self._in_sweeps(row, pressed) if sweep is None else [row]
+        if sweep is not None:
+            row.__dict__["sweep"] = np.array([sweep])
         contact = None
         if not pressed:
             self.state = "air"
-        elif self._rings():
+        elif rings:
             self.state = "ringing"
-            row = of_checked(row, **reaction_columns(np.zeros((1, 3)), np.zeros((1, 3)), self.model == "spatial"))
         else:
             contact = _contact(t, row, self.model)
             self.state = "unknown" if contact is None else "touching"
             self.contacts += [] if contact is None else [contact]
-        self._rows.append(row)
+        self._rows += rows
+        self.last_row = row
         return contact
+
+    def _in_sweeps(self, row: Recording, pressed: bool) -> list[Recording]:
+        """The rows up to this one that are now known to belong to a sweep: a touch, with what is in the air in its plane before
+        and after it.  Rows on the way to another plane belong to none."""
+        along = self._begin.axes()[0, 2]
+        turned = float(np.abs(row.axes()[0, 2] - along).max())
+        moved = abs(float((row.position_m[0] - self._begin.position_m[0]) @ along))
+        length, error = row.rod.length_m, FORCE_SIGMAS * row.noise_pose_m
+        elsewhere = turned > _APART + error / length or moved > _APART * length + error
+        begins, self._pressed = pressed and not self._pressed, pressed
+        if (elsewhere and not (pressed and self._touched)) or (begins and self._touched):
+            self._begin, self._touched, self._waiting_rows = row, False, []
+        rows = [*self._waiting_rows, row]
+        if not (pressed or self._touched):
+            self._waiting_rows = rows
+            return []
+        self._sweep += not self._touched
+        self._touched, self._waiting_rows = True, []
+        for one in rows:
+            one.__dict__["sweep"] = np.array([self._sweep])
+        return rows
 
     def _checked(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array, Array]:
         place, turn, shown = (np.asarray(values, dtype=np.float64) for values in (position, quaternion, wrench))
@@ -275,7 +305,7 @@ class Live:
 
     @property
     def recording(self) -> Recording:
-        """The rows so far, tared and corrected; those that ring have no wrench."""
+        """The rows of sweeps so far, tared and corrected; those that ring have no wrench."""
         names = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
         names += SIX_AXES if self.model == "spatial" else []
         if not self._rows:
@@ -288,11 +318,6 @@ class Live:
     def unit(self) -> str:
         """The unit of points."""
         return self._like.unit
-
-    @property
-    def last_row(self) -> Recording | None:
-        """The last row, as a recording of one: tared and corrected; None before there is one."""
-        return self._rows[-1] if self._rows else None
 
     @property
     def cloud(self) -> Cloud:

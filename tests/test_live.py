@@ -152,7 +152,39 @@ def test_before_the_first_contact_there_is_nothing_to_see(model):
     assert "none" in str(live.recording)
     assert "contacts" in str(live.cloud)
     assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], np.zeros(6)) is None
-    assert (live.state, len(live.recording), len(live.cloud)) == ("air", 1, 0)
+    assert (live.state, len(live.last_row), len(live.recording), len(live.cloud)) == ("air", 1, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_sweeps_are_found_where_the_rod_goes_through_the_air_between_them(noise):
+    recording = scanned("planar", None, noise)
+    live, length, up, rng = (
+        scan3d.Live(recording, model="planar"),
+        recording.rod.length_m,
+        np.eye(3)[2],
+        np.random.default_rng(0),
+    )
+    sd = recording.noise.force_N, recording.noise.force_N, recording.noise.moment_Nm
+    last = None
+    for sweep in np.unique(recording.sweep):
+        rows = np.flatnonzero(recording.sweep == sweep)
+        if last is not None:  # back along the rod, far above the body, down, and forward to where the next sweep begins
+            for row, shares in ((last, np.linspace(0.1, 1, 6)), (rows[0], np.linspace(1, 0.1, 6))):
+                back = -1.5 * length * recording.axes()[row, 1]
+                above = [back + 3 * length * share * up for share in shares]
+                way = [share * back for share in shares]
+                for step in [*way, *above] if row == last else [*above, *way]:
+                    live.push(0.0, recording.position_m[row] + step, recording.quaternion[row], sd * rng.normal(size=3))
+        for row in rows:
+            wrench = [*recording.force_N[row], recording.moment_Nm[row]]
+            live.push(0.0, recording.position_m[row], recording.quaternion[row], wrench)
+        last = rows[-1]
+    cloud, whole = live.cloud, scan3d.reconstruct(recording, model="planar")
+    assert cloud.convex
+    np.testing.assert_allclose(cloud.points, whole.points, atol=1e-9)
+    assert len(np.unique(cloud.sweep)) == len(np.unique(whole.sweep))
+    assert len(cloud.slice_height) == len(np.unique(whole.slice))
 
 
 def test_what_is_no_row_is_refused():

@@ -190,7 +190,7 @@ class _Rods(NamedTuple):
     line: Array
     """(n, k, 2) the rod in these axes, from the clamp."""
     slice: Index
-    """(n,) number of the slice."""
+    """(n,) number of the slice; -1 in none."""
     on: Mask
     """(n,) whether the step to the next row is one of known rods of one sweep without snap."""
     bulge: Array
@@ -222,9 +222,13 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     second[1:-1][both] = np.linalg.norm(np.diff(end, 2, axis=0), axis=1)[both]
     bulge = np.fmax(second, np.append(second[1:], np.nan)) / 2
     alone = np.append(travel, 0.0) / 2
-    centre = cloud.points.mean(axis=0) * unit
-    number = planes(recording, axes[:, 2], centre, recording.noise.place_m).number
-    return _Rods(clamp, axes[:, :2], line, number, on, np.where(np.isnan(bulge), alone, bulge))
+    found = planes(recording, axes[:, 2], cloud.points.mean(axis=0) * unit, recording.noise.place_m)
+    # rows that gave no contact may have further planes, and those of contacts another order
+    along = found.axis @ cloud.slice_axis.T
+    apart = np.abs(np.sign(along) * found.height[:, None] / unit - cloud.slice_height)
+    apart[np.abs(along) < 1 - 1e-6] = np.inf  # as the directions of measured poses may differ in one slice
+    of_plane = np.where(apart.min(axis=1) <= 1e-3 * cloud.rod_length, apart.argmin(axis=1), -1)
+    return _Rods(clamp, axes[:, :2], line, of_plane[found.number], on, np.where(np.isnan(bulge), alone, bulge))
 
 
 def passed_lines(recording: Recording, cloud: Cloud) -> Array:
@@ -254,7 +258,7 @@ def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float,
     middle = (low + high) / 2
     origin = middle - (shape - 1) / 2 * cell
     free = np.zeros((len(height), shape[1], shape[0]), dtype=bool)
-    rows = np.flatnonzero(place[rods.slice] >= 0)
+    rows = np.flatnonzero((rods.slice >= 0) & (place[rods.slice] >= 0))
     along = rods.axes[rows, 1] @ frame[:2].T
     direction = np.round(np.arctan2(along[:, 1], along[:, 0]) / (2 * np.pi) * _DIRECTIONS).astype(int) % _DIRECTIONS
     across = np.arange(int(np.hypot(*shape)) + 2)
