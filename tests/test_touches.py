@@ -182,6 +182,19 @@ def test_tables_of_other_programs(text, expected, tmp_path):
         assert found.columns[name] == pytest.approx(np.array(values, dtype=float))
 
 
+def test_a_table_above_touches_is_wrong(tmp_path):
+    normals = scan3d.load_mesh("meshes/egg.stl").face_normals[::40]
+    for table, message in (
+        (-10.0, None),
+        (-9.0, "lie down to z = -"),
+        (100.0, "where the table is at 100 mm; move the frame of"),
+    ):
+        cloud = scan3d.touches(10 * normals, normals, table=table)
+        assert [message in found.message for found in contradictions(cloud)] == [True] * (message is not None)
+    with pytest.raises(scan3d.InputError, match="the height of the table must be a number"):
+        scan3d.touches(10 * normals, normals, table=np.nan)
+
+
 def test_clouds_of_several_rods_are_one(tmp_path):
     rng, paths = np.random.default_rng(0), []
     normals = rng.normal(size=(600, 3))

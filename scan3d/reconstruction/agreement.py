@@ -126,12 +126,12 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     if cloud.probed is not None:
         number = np.flatnonzero(~recording.in_probings)
         if cloud.probed.all():
-            return Checked(_held(missing) + _below_table(cloud), None)
+            return Checked(_held(missing) + below_table(cloud), None)
         recording, cloud = of_rows(recording, number), with_rows(cloud.swept(), number)
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
         cloud = with_rows(cloud, kept)
-    alone, diagnosis = _held(missing) + _below_table(cloud) + _followed(recording), None
+    alone, diagnosis = _held(missing) + below_table(cloud) + _followed(recording), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
@@ -385,7 +385,7 @@ def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list
     return [Contradiction("inside-hull", text, inside)]
 
 
-def _below_table(cloud: Cloud) -> list[Contradiction]:
+def below_table(cloud: Cloud) -> list[Contradiction]:
     """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
     if cloud.table is None:
         return []
@@ -402,10 +402,11 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
     worst = int(depth.argmax())
     if depth[worst] <= 0:
         return []
+    of_what = "touches" if cloud.model == "touches" else "poses"
     text = (
         f"contacts lie down to z = {length(heights[worst], cloud.unit)}, where the table is at "
-        f"{length(cloud.table, cloud.unit)}; move the frame "
-        "of the poses so that the body stands on the table, or correct the table's height"
+        f"{length(cloud.table, cloud.unit)}; move the frame of the {of_what} so that the body stands on the table, or "
+        "correct the table's height"
     )
     return [Contradiction(BELOW_TABLE, text, float(cloud.table - heights[worst]))]
 

@@ -19,10 +19,10 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import DENT_TOLERANCE, hull, vertices_of
 from scan3d.geometry.triangles import dot
-from scan3d.reconstruction.agreement import Contradiction
+from scan3d.reconstruction.agreement import Contradiction, below_table
 from scan3d.reconstruction.normals import with_smooth_fit
 from scan3d.recording import LARGEST_OVER_SD, rounding_sd
-from scan3d.units import check_unit, length, share
+from scan3d.units import check_unit, is_finite, length, share
 
 # Standard deviations that the errors of no touch exceed.
 _CERTAIN = 5.0
@@ -63,6 +63,8 @@ def touches(
     that are not finite, points that span no body, and normals of which some point inwards and some outwards.
     """
     check_unit(unit)
+    if table is not None and not is_finite(table):
+        raise InputError(f"the height of the table must be a number, got {table!r}; leave it out if it is unknown")
     points = _columns(points, 3, "points")
     if not np.isfinite(points).all():
         raise InputError(f"{int((~np.isfinite(points)).any(axis=1).sum())} points are not finite; leave them out")
@@ -150,11 +152,12 @@ def beyond_planes(cloud: Cloud, tolerance: float = DENT_TOLERANCE) -> Array:
 
 
 def contradictions(cloud: Cloud) -> tuple[Contradiction, ...]:
-    """What the normals of touches of a convex body contradict, which themselves lie as those of one."""
+    """Touches below the table, and what normals contradict of touches that themselves lie as those of a convex body."""
+    found = tuple(below_table(cloud))
     beyond = beyond_planes(cloud)
     count = int((beyond > 0).sum())
     if not count or not cloud.convex:
-        return ()
+        return found
     how = length(float(beyond.max()), cloud.unit, digits=2)
     has_deviation = cloud.normal_sd is not None and cloud.normal_sd.any()
     advice = (
@@ -164,7 +167,7 @@ def contradictions(cloud: Cloud) -> tuple[Contradiction, ...]:
         f"{count} of {len(cloud)} touches have others beyond the planes of their normals, by up to {how}, though all lie as on "
         f"a convex body: {advice}, or leave the normals out"
     )
-    return (Contradiction("normals", message, float(beyond.max())),)
+    return (*found, Contradiction("normals", message, float(beyond.max())))
 
 
 def _errors(cloud: Cloud) -> tuple[Array, Array]:
