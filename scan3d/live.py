@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import LARGEST, Array
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.choices import MODELS, Model
 from scan3d.cloud import Cloud
@@ -29,6 +29,8 @@ from scan3d.reconstruction import NoContactError, reconstruct
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Noise, Recording, as_stated, of_checked, reaction_columns
+from scan3d.rigs import check_positions
+from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 State = Literal["unknown", "air", "touching", "ringing"]
@@ -107,10 +109,8 @@ class Live:
         self._calibration, fields = _of_rig(rig)
         count = air_rows if air_rows is not None else _AIR if self._calibration is not None else 0
         check_whole("air_rows", count, 0)
-        if count and fields["rod"].weight_N:
-            raise InputError(
-                "the zero of a sensor that carries a rod with a weight turns with it: tare the rows, air_rows=0"
-            )
+        if count:
+            _check_light(fields["rod"])
         if lowpass_hz is not None and not (count >= _AIR // 4 and lowpass_hz > 0):
             raise InputError(f"lowpass_hz must be above 0, and needs air_rows of at least {_AIR // 4}")
         self.model = model
@@ -136,10 +136,18 @@ class Live:
         self._waiting_rows: list[Recording] = []
         self.contacts: list[LiveContact] = []
         """The contacts so far."""
-        self.tare()
+        self._begin_zero()
 
     def tare(self) -> None:
-        """Find the zero again, in the rows that follow; the rod must hang free."""
+        """Find the zero again, in as many rows that follow as `air_rows`, or 100; the rod must hang free.
+
+        Raises InputError for a rod with a weight, with which the zero turns.
+        """
+        _check_light(self._like.rod)
+        self._air_rows = self._air_rows or _AIR
+        self._begin_zero()
+
+    def _begin_zero(self) -> None:
         self._waiting: list[tuple[float, Array]] = []
         self._filter = None
         self._zero = None if self._air_rows else np.zeros(6)
@@ -163,12 +171,17 @@ class Live:
             number of the sweep; by default each touch is one, with the rows in the air in its plane before and after it, and
             rows in the air between two planes are not kept.
 
-        Raises InputError for other shapes, and for quaternions without unit length.
+        Raises InputError for other shapes, quaternions without unit length, and numbers that no rig has; the row is not kept.
         """
+        if sweep is not None:
+            check_whole("sweep", sweep, 0)
         place, turn, shown = self._checked(position, quaternion, wrench)
         self.state = "unknown"
         if not all(map(np.isfinite, (t, place.sum(), turn.sum(), shown.sum()))):
             return None
+        if (largest := float(np.abs(shown).max())) > LARGEST:
+            raise InputError(f"the wrench holds {largest:.3g}; check its unit, which is N and N m")
+        check_positions("the row", place[None], self._like.rod.length_m)
         if self._zero is None:
             self._wait(t, shown)
             return None
@@ -326,6 +339,13 @@ class Live:
             if self._rows:
                 return reconstruct(self.recording, model=self.model)
         return Cloud.of_none(self.unit, self._like.rod.length_m / UNITS_M[self.unit], self.model)
+
+
+def _check_light(rod: Rod) -> None:
+    if rod.weight_N:
+        raise InputError(
+            "the zero of a sensor that carries a rod with a weight turns with it: tare the rows, air_rows=0"
+        )
 
 
 def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | None, dict[str, Any]]:

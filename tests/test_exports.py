@@ -17,6 +17,7 @@ from other_programs import FORMATS, HERE, PROGRAMS
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
+from scan3d.files.reduced import decimated
 from scan3d.files.shapes import (
     CLOUD_ENDINGS,
     LENGTHS,
@@ -357,6 +358,13 @@ def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_pa
     if "error" in far:
         foot = pyvista.wrap(mesh).find_closest_cell(scale * before.points, return_closest_point=True)[1]
         assert np.linalg.norm(foot - scale * before.points, axis=1).max() <= far["error"] * (1 + 1e-9)
+
+
+def test_larger_errors_leave_no_more_faces(ring):
+    surface = read_shape(ring / "surface.ply")
+    counts = [len(decimated(surface, error=error).faces) for error in (0.1, 1.0, 10.0, 1e9)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[-1] < counts[0] < len(surface.faces)
 
 
 @pytest.mark.parametrize(("plane", "radii"), [("z=4", (8, 16)), ("z=6", (12 - 12**0.5, 12 + 12**0.5)), ("x=0", (4, 4))])

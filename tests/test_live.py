@@ -194,6 +194,23 @@ def test_what_is_no_row_is_refused():
         live.push(0.0, [0, 0], [1, 0, 0, 0], [0, 0, 0])
     with pytest.raises(InputError, match="must have the length 1"):
         live.push(0.0, [0, 0, 0], [1, 1, 0, 0], [0, 0, 0])
+    for wrong, message in (
+        ({"sweep": 1.5}, "sweep must be a whole number of at least 0"),
+        ({"wrench": [1e300, 0, 0]}, "the wrench holds 1e"),
+        ({"position": [1e200, 0, 0]}, "position_m holds 1"),
+    ):
+        row = {"position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "wrench": [0, 0, 0], **wrong}
+        with pytest.raises(InputError, match=message):
+            live.push(0.0, **row)
+    with pytest.raises(InputError, match="the recording has no rows"):
+        scan3d.reconstruct(live.recording)
+    with pytest.raises(InputError, match="the recording has no rows"):
+        scan3d.save(live.recording, "nothing.csv")
+    live.tare()
+    for _ in range(100):
+        live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0.01, 0.02, 1e-4])
+    live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0.01, 0.02, 1e-4])
+    assert live.state == "air"
     with pytest.raises(InputError, match="a rig is a calibration, a recording"):
         scan3d.Live(scan3d.Rod(0.05, 1e-4))
     with pytest.raises(InputError, match="lowpass_hz must be above 0, and needs air_rows"):
@@ -206,8 +223,9 @@ def test_a_zero_that_can_not_be_found_is_refused(tmp_path):
         rod=scan3d.Rod(0.06, 2e-4, 0.0004, weight_N=1e-3),
         gravity=scan3d.Gravity((0.0, 0.0, -1.0), tared=False),
     )
-    with pytest.raises(InputError, match="the zero of a sensor that carries a rod with a weight turns with it"):
-        scan3d.Live(heavy, air_rows=100)
+    for begun in (lambda: scan3d.Live(heavy, air_rows=100), scan3d.Live(heavy).tare):
+        with pytest.raises(InputError, match="the zero of a sensor that carries a rod with a weight turns with it"):
+            begun()
     live = scan3d.Live(scanned("spatial"), air_rows=30, lowpass_hz=20)
     rows = [(0.1 * k, [0, 0, 0], [1, 0, 0, 0], np.zeros(6)) for k in range(30)]
     for row in rows[:-1]:

@@ -63,7 +63,7 @@ def show(
     size
         size of the picture: WIDTH or WIDTHxHEIGHT in mm, cm, in, pt or px, such as 85mm or 85x60mm (default: 7in)
     dpi
-        pixels of the picture to the inch (default: 150)
+        pixels of the picture to the inch (default: 200)
     camera
         front, back, left, right, top, bottom or iso, or AZIMUTH,ELEVATION in degrees such as 300,25; a further ,1.5 zooms
         (default: the view's)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.choices import one_of
 from scan3d.errors import InputError
+from scan3d.files.columns import check_single
 from scan3d.files.shapes import COVARIANCE, NORMAL, POINT, read_ply
 from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import check_readable
@@ -143,6 +144,7 @@ def _text(path: Path) -> dict[str, NDArray[Any]]:
     """The columns of a text table by name."""
     table = read_table(path, guessed_layout(path), "table of touches")
     count = len(table.columns)
+    check_single(path.name, table.names, filter(_known, table.names))
     if table.names:
         return {
             name: table.numbers(k, gaps=True) if _known(name) else table.columns[k]

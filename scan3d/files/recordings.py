@@ -58,6 +58,8 @@ def write_recording(recording: Recording, path: str | Path, *, overwrite: bool =
     """
     path = Path(path)
     check_path(path)
+    if not len(recording):
+        raise InputError("the recording has no rows, and there is nothing to write; record some")
     beside = sidecar(path)
     if not overwrite and beside.exists() and source_kind(beside) is None:
         raise InputError(

@@ -39,16 +39,31 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
         raise InputError("only a surface has faces to be left out, and this is a cloud; leave --faces and --error out")
     if (faces is not None and faces < 4) or (error is not None and not 0 < error < np.inf):
         raise InputError("a surface is left at least 4 faces, and the error is a length above 0; give others")
-    solid = _solid(shape.points, shape.faces)
-    high = float(np.linalg.norm(np.ptp(shape.points, axis=0)))
-    low, found = 1e-6 * high, solid
-    # the tolerance, to a thousandth of it, beyond which the faces are few enough, or below which the surface is near enough
-    for _ in range(14):
+    solid = found = _solid(shape.points, shape.faces)
+    size = float(np.linalg.norm(np.ptp(shape.points, axis=0)))
+    low = high = 1e-6 * size
+
+    def few(coarser: Any) -> bool:
+        return faces is not None and 0 < coarser.num_tri() <= faces
+
+    def goes_on(coarser: Any) -> bool:
+        """Whether a surface has no more faces than the one found, and could have fewer."""
+        if few(coarser) or not 0 < coarser.num_tri() <= found.num_tri():
+            return False
+        return error is None or _apart(shape, coarser.to_mesh64()) <= error
+
+    # larger and larger tolerances; beyond the thickness of walls they leave more faces again, and take long
+    while high < size and goes_on(coarser := solid.simplify(high)):
+        found, low, high = coarser, high, 4 * high
+    enough = coarser if few(coarser) else None
+    for _ in range(8):
         middle = np.sqrt(low * high)
         coarser = solid.simplify(middle)
-        few = coarser.num_tri() <= (faces or 0) if error is None else _apart(shape, coarser.to_mesh64()) > error
-        low, high = (low, middle) if few else (middle, high)
-        found = coarser if few == (error is None) else found
+        if goes_on(coarser):
+            found, low = coarser, middle
+        else:
+            enough, high = coarser if few(coarser) else enough, middle
+    found = enough or found
     mesh = found.to_mesh64()
     if not len(mesh.tri_verts) or len(mesh.tri_verts) > (faces or len(shape.faces)):
         raise InputError(f"the surface has no closed form of {faces} faces; ask for more")
@@ -119,6 +134,8 @@ def curves_file(loops: list[Array], unit: str, ending: str) -> bytes:
 def _apart(shape: Shape, mesh: Any) -> float:
     """How far vertices and middles of the faces of a surface and of a coarser one are from each other, at most."""
     assert shape.faces is not None
+    if not len(mesh.tri_verts):
+        return np.inf
     fine, coarse = shape.points[shape.faces], mesh.vert_properties[mesh.tri_verts]
     searches = (Search(np.take_along_axis(one, longest_first(one)[:, :, None], axis=1)) for one in (coarse, fine))
     points = (np.concatenate([shape.points, fine.mean(axis=1)]), coarse.mean(axis=1))

@@ -532,6 +532,8 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     that is stated not to be convex, and ValueError for an unknown method.
     """
     model = model_of(recording, method, model)
+    if not len(recording):
+        raise NoContactError("the recording has no rows, as that of a stream before its first touch; record some")
     if (missing := unmeasured(recording)) is None:
         return _reconstructed(recording, method, model)
     part, rows = measured(recording, missing)
