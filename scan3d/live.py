@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import planar
-from scan3d.arrays import LARGEST, Array
+from scan3d.arrays import LARGEST, ROUNDING, Array
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.choices import MODELS, Model
 from scan3d.cloud import Cloud
@@ -268,6 +268,7 @@ class Live:
         if self._lowpass_hz is not None:
             tared = self._begun(times, tared)
         deviation = tared.std(axis=0, ddof=1) if len(tared) > 1 else np.zeros(6)
+        deviation = np.maximum(deviation, ROUNDING * np.abs(self._zero))  # of rows that are all the same
         force, moment = float(deviation[:3].max()), float(deviation[3:].max())
         if self._calibration is not None:
             moment = self._calibration.moment_noise(force, moment)
