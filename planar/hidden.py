@@ -36,6 +36,8 @@ from numpy.typing import ArrayLike
 from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions, ratio
 from planar.elastica import piece
 from planar.reconstruction import Contacts, Errors, reconstruct
+from planar.reconstruction import errors as errors_of
+from planar.rods import PLACES, Rod
 from planar.sweeping import Phase
 
 # Friction angle, in radians, up to which contacts agree on theirs, and standard deviations of a test on noisy contacts.
@@ -75,6 +77,8 @@ def second_contacts(
     contacts: Contacts | None = None,
     friction: ArrayLike | None = None,
     errors: Errors | None = None,
+    direction: int = -1,
+    rod: Rod | None = None,
 ) -> Mask:
     """Contacts (n,) of one sweep that can't be those of rods which touch at one place only.
 
@@ -85,9 +89,14 @@ def second_contacts(
     friction
         the coefficient, one number or (n,); None: `constant_friction_angle`, and no test by it where that is unknown.
     errors
-        standard deviations of the contacts under noise; None: exact.
+        standard deviations of the contacts under noise; None: exact, up to the steps in which `rod` is integrated.
+    direction, rod
+        as in `planar.reconstruct`.
     """
-    contacts = reconstruct(x0, f0x, f0y, m0z) if contacts is None else contacts
+    if contacts is None:
+        contacts = reconstruct(x0, f0x, f0y, m0z, direction=direction, rod=rod)
+    if errors is None and rod is not None and not rod.is_straight_and_uniform:
+        errors = errors_of(f0x, f0y, m0z, noise=(PLACES, PLACES), direction=direction, rod=rod)
     beta_error = np.zeros(len(contacts)) if errors is None else errors.friction_angle
     tangential = contacts.phase == Phase.TANGENTIAL
     zeta = (

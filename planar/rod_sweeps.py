@@ -14,7 +14,7 @@ kind of contact changes, and at a base position.  All rods are marched together,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -74,6 +74,20 @@ class AnyRod(Equilibria):
         force = uniform.force * _softness(self.rod, np.where(kind, np.minimum(uniform.s1, 1.0), 1.0))
         w = np.stack([end, force, np.where(kind, uniform.s1 - 1, tip_slope - slope)])
         state = self._newton(path, piece, zeta, w).state
+        # contours at which none is known, as where a rod curves far away: led on from rods that curve, weigh and give less, with less friction
+        found = np.bincount(owner[np.isfinite(state.x0)], minlength=len(path.offsets))
+        rows = np.flatnonzero(found[owner] == 0)
+        for share in (0.25, 0.5, 0.75, 1.0) if len(rows) else ():
+            less = replace(
+                self.rod,
+                curvature=share * self.rod.curvature,
+                weight=share * self.rod.weight,
+                compliance=share * self.rod.compliance,
+            )
+            led_on = AnyRod(less)._newton(path, piece[rows], share * zeta[rows], w[:, rows]).state
+            w[1:, rows] = np.where(np.isfinite(led_on.x0), led_on.q.T, w[1:, rows])
+            if share == 1:
+                _put(state, rows, led_on)
         every, tried = np.arange(len(owner)), np.zeros(len(owner), dtype=bool)
         same = np.append(owner[1:] == owner[:-1], False)
         while True:

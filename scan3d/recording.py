@@ -292,7 +292,7 @@ class Recording(Shown):
             ("samples", f"{len(self)}, {(force > 0).sum()} with a force"),
             ("sweeps", str(len(np.unique(self.sweep)))),
             ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
-            ("rod", f"{units.length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
+            ("rod", _words(rod)),
             ("largest reactions", f"{units.force(force.max())}, {units.moment(moment.max())}"),
             ("noise", self._stated()),
             ("clamp from", units.point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
@@ -305,6 +305,17 @@ class Recording(Shown):
         pose = f", {units.length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
         reactions = f"{units.force(self.noise_force_N, digits=2)}, {units.moment(self.noise_moment_Nm, digits=2)}"
         return f"{reactions}{pose} (standard deviations)"
+
+
+def _words(rod: Rod) -> str:
+    kinds = {
+        "at the clamp, and other along the rod": rod.varies,
+        "curved": any(rod.curvatures),
+        "heavy": rod.weight_N,
+        "in a clamp that gives": rod.clamp_compliance_rad_per_Nm,
+    }
+    size = f"{units.length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"
+    return ", ".join([size, *(words for words, has in kinds.items() if has)])
 
 
 def _directions(normals: Array) -> str:

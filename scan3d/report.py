@@ -115,8 +115,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "rod": None
         if recording is None
         else {
-            "length_m": recording.rod.length_m,
-            "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
+            **recording.rod.stated(),
             "length": cloud.rod_length,
             **({"bead_diameter": 2 * cloud.bead_radius} if cloud.bead_radius else {}),
             **_thickness(cloud),

@@ -219,9 +219,13 @@ class Rod:
         compliance = self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
         return SpatialRod(self.profile, (bend_z, bend_x, twist), compliance=compliance)
 
-    def __repr__(self) -> str:
+    def stated(self) -> dict[str, Any]:
+        """Its fields that are not as for a straight, uniform, weightless rod without thickness."""
         given = ((entry.name, getattr(self, entry.name), entry.default) for entry in fields(self))
-        return f"Rod({', '.join(f'{name}={value!r}' for name, value, default in given if value != default)})"
+        return {name: value for name, value, default in given if value != default}
+
+    def __repr__(self) -> str:
+        return f"Rod({', '.join(f'{name}={value!r}' for name, value in self.stated().items())})"
 
     def _units(self) -> tuple[float, float]:
         """The units (1) of force and moment; infinite where they are too large for a number."""

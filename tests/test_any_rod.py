@@ -104,6 +104,19 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
         np.testing.assert_allclose(-force + weight, [swept.f0x[i], swept.f0y[i]], atol=1e-12)
 
 
+@pytest.mark.parametrize(("radius", "friction", "curvature"), [(8, 0.3, -0.6), (2, 0.4, -0.6), (4, 0.4, -1.0)])
+def test_rods_that_curve_far_away_from_the_body_are_found(radius, friction, curvature):
+    rod = Rod(tip_diameter=1 / 6, curvature=curvature)
+    swept = planar.sweep(planar.Circle(radius, (0.0, radius + 0.6)), friction, samples=60, rod=rod)
+    contacts = planar.reconstruct(*swept.reactions, rod=rod)
+    touching = swept.phase != Phase.NONE
+    assert touching.sum() > 50
+    assert (contacts.status[touching] == Status.OK).mean() > 0.9
+    np.testing.assert_allclose(
+        contacts.point[contacts.status == Status.OK], swept.point[contacts.status == Status.OK], atol=1e-8
+    )
+
+
 @pytest.mark.slow
 def test_sweeps_solve_the_boundary_value_problem():
     rod, friction = EVERYTHING, 0.3

@@ -75,6 +75,7 @@ def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
     recording = scan3d.simulate(mesh, plan)
     scan3d.write_recording(recording, tmp_path / "recording.csv")
     stored = scan3d.read_recording(tmp_path / "recording.csv")
+    assert any(words in str(stored) for words in ("other along the rod", "curved", "in a clamp that gives"))
     # of a tapered rod the stiffness alone, since its contacts are simulated without thickness
     assert stored.rod == (rod.without_thickness() if rod.tapered else rod)
     cloud = scan3d.reconstruct(stored)

@@ -148,6 +148,20 @@ def test_the_path_of_a_tip_over_a_bump_is_not_free():
     assert not len(passed(*swept.reactions, swept.s1, places, single=single)[0])
 
 
+@pytest.mark.parametrize(
+    "rod", [planar.Rod(tip_diameter=0.9), planar.Rod(curvature=-0.5), planar.Rod(tip_diameter=1 / 6, curvature=-0.5)]
+)
+def test_exact_contacts_of_any_rod_are_single(rod):
+    for contour in (planar.Circle(0.9, (0.0, 1.3)), planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)):
+        swept = planar.sweep(contour, 0.3, samples=60, rod=rod)
+        contacts = planar.reconstruct(*swept.reactions, rod=rod)
+        assert (contacts.phase != planar.Phase.NONE).sum() > 10
+        for known in (None, contacts):
+            assert not planar.second_contacts(*swept.reactions, contacts=known, rod=rod).any()
+        other = -swept.x0, -swept.f0x, swept.f0y, -swept.m0z
+        assert not planar.second_contacts(*other, direction=1, rod=rod.mirrored()).any()
+
+
 def test_places_next_to_rods_against_elastic_lines():
     swept = planar.sweep(planar.Ellipse((0.3, 0.2), (0.0, 0.85), 0.4), 0.3, samples=30)
     rods, rng = drawn(*swept.reactions, swept.s1), np.random.default_rng(15)
