@@ -74,9 +74,10 @@ class AnyRod(Equilibria):
         force = uniform.force * _softness(self.rod, np.where(kind, np.minimum(uniform.s1, 1.0), 1.0))
         w = np.stack([end, force, np.where(kind, uniform.s1 - 1, tip_slope - slope)])
         state = self._newton(path, piece, zeta, w).state
-        # contours at which none is known, as where a rod curves far away: led on from rods that curve, weigh and give less, with less friction
-        found = np.bincount(owner[np.isfinite(state.x0)], minlength=len(path.offsets))
-        rows = np.flatnonzero(found[owner] == 0)
+        # contours at which none is known, as where a rod curves far away: led on from rods that curve, weigh and give less,
+        # with less friction
+        count = np.bincount(owner[np.isfinite(state.x0)], minlength=len(path.offsets))
+        rows = np.flatnonzero(count[owner] == 0)
         for share in (0.25, 0.5, 0.75, 1.0) if len(rows) else ():
             less = replace(
                 self.rod,
