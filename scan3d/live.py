@@ -233,10 +233,10 @@ class Live:
         begins, self._pressed = pressed and not self._pressed, pressed
         if (elsewhere and not (pressed and self._touched)) or (begins and self._touched):
             self._begin, self._touched, self._waiting_rows = row, False, []
-        rows = [*self._waiting_rows, row]
         if not (pressed or self._touched):
-            self._waiting_rows = rows
+            self._waiting_rows.append(row)
             return []
+        rows = [*self._waiting_rows, row]
         self._sweep += not self._touched
         self._touched, self._waiting_rows = True, []
         for one in rows:
