@@ -243,7 +243,7 @@ def test_clouds_of_cameras_with_places_that_are_missing(tmp_path):
         ("a.csv", "1,2,3,4\n5,6,7,8\n", "name them in the first line"),
         ("a.csv", "x_mm,y_mm,z_m\n1,2,3\n", "give all of them in one unit"),
         ("a.csv", "x,y,z,sd,sigma\n1,2,3,1,1\n", "two columns of place_sd"),
-        ("a.csv", "x,y,z,x\n1,2,3,1\n", "its header has x, x more than once"),
+        ("a.csv", "x,y,z,x\n1,2,3,1\n", "its header has x more than once"),
         ("a.pcd", "FIELDS x y z\nDATA ascii\n1 2 3\n", "not a PCD file"),
         ("a.pcd", "nothing\n", "no line that begins with DATA"),
     ],

@@ -144,7 +144,7 @@ def _text(path: Path) -> dict[str, NDArray[Any]]:
     """The columns of a text table by name."""
     table = read_table(path, guessed_layout(path), "table of touches")
     count = len(table.columns)
-    check_single(path.name, table.names, filter(_known, table.names))
+    check_single(path.name, table.names, dict.fromkeys(filter(_known, table.names)))
     if table.names:
         return {
             name: table.numbers(k, gaps=True) if _known(name) else table.columns[k]
