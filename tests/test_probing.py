@@ -24,6 +24,7 @@ from scan3d.rods import Gravity, Rod
 from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
 from scan3d.spatial.bodies import sphere_directions
+from scan3d.spatial.march import shapes
 
 
 def _bodies(rng):
@@ -206,6 +207,30 @@ def test_rods_stick_within_the_friction_angle_and_slide_beyond_it():
             np.testing.assert_allclose(felt.moment, 0, atol=1e-15)
         else:  # the rod bends aside as its differential equations say
             np.testing.assert_allclose(felt.moment[0], _integrated(felt.force[0]), atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["uniform", "tapered"])
+def test_where_the_end_slips_over_a_bump_the_rod_does_not_go_through_it(name):
+    """What is felt is only stated where the rod, bent as its equations say, lies nowhere in the body."""
+    rod, length, stop = RODS[name], 50.0, 0.02
+    bump = trimesh.creation.icosphere(5, radius=10.0)
+    wall = trimesh.creation.box((40, 2, 90), trimesh.transformations.translation_matrix([0, 20, 0]))
+    wall.apply_transform(trimesh.transformations.rotation_matrix(np.radians(-40), [1, 0, 0], [0, 20, 0]))
+    mesh = trimesh.util.concatenate([bump, wall])
+    depth = np.geomspace(1e-3, 0.6, 200)
+    start = np.column_stack([np.zeros(200), np.full(200, -70.0), 10 - depth])
+    moves = Probings(start, np.broadcast_to(np.eye(3), (200, 3, 3)), np.full(200, 2 * length))
+    felt = felt_along(mesh, moves, rod, length, np.zeros(200), stop, None, False)
+    places = length * shapes(rod.in_space(), felt.force.T, felt.moment.T, None, 400)[0]
+    places = (start.T + felt.travel * [[0], [1], [0]])[:, None] + places
+    deepest = _signed(bump, places.reshape(3, -1).T).reshape(400, 200).min(axis=0)
+    # those that come to the wall clear of the bump are kept, and those that would go through it left out
+    at_wall = felt.touches & (places[1, -1] > 10)
+    assert (at_wall & (deepest > 1e-4)).sum() > 20
+    assert felt.resolved[at_wall & (deepest > 1e-4)].all()
+    through = deepest < -1e-4
+    assert not felt.resolved[through].any()
+    assert through.sum() > 20
 
 
 def _integrated(force):

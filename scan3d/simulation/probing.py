@@ -5,7 +5,7 @@ across the line from there to the bead's centre.  Where the surface's normal is 
 the end stays there, and the force is along the rod.  Else the end slides aside: the force is on the edge of the friction cone,
 in the plane of axis and normal, and bends the rod.  The end is then where the line crosses the surface that is as far beside as
 the rod is bent, which is found by iteration.  It ends at once on a plane face; where the end comes to a groove, or slips off an
-edge, it does not, and the probing is left out.
+edge, it does not, and the probing is left out.  So is one whose end slips over a bump, on which the rod itself lies then.
 """
 
 from __future__ import annotations
@@ -28,12 +28,15 @@ from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
 from scan3d.spatial.bodies import cross
-from scan3d.spatial.march import ends, free_reactions
+from scan3d.spatial.march import ends, free_reactions, shapes
 from scan3d.units import UNITS_M
 from scan3d.workers import tell
 
 # Rounds of the iteration, and by how much a place changes at its end, in rod lengths.
 _ROUNDS, _SETTLED = 10, 1e-12
+# Rods that may be deeper in the body than this, in rod lengths, are held against it: so many lines, for so many places of the
+# rod, and what part of the way that its end slid may remain.
+_DEEP, _BESIDE, _PLACES, _SLID = 1e-6, 4, 33, 0.01
 
 
 def probe(mesh: Any, plan: Plan, rod: Rod, swept: Sequence[Recording] = ()) -> Recording:
@@ -147,6 +150,8 @@ def felt_along(
         start = moves.start[active] + length * np.einsum("in,nij->nj", beside, moves.axes[active])
         far, normal = met_by(start, moves.axes[active, 1])
         distance[active] = far
+        if not number:
+            first = distance.copy()
         met = np.isfinite(far)
         if number:  # a rod that is bent touches something
             resolved[active] &= met
@@ -187,6 +192,14 @@ def felt_along(
     touches = resolved & (travel <= moves.travel) & np.isfinite(distance)
     # a body that is met at once has been touched before
     resolved &= ~(touches & (travel < 0))
+    # the end's slope is 3/2 of its way aside over the rod's length, so that no rod is deeper in the body than this
+    aside = np.sqrt(((point - hanging)[[0, 2]] ** 2).sum(axis=0))
+    slid = np.flatnonzero(resolved & touches)
+    slid = slid[1.5 * aside[slid] * np.abs(distance[slid] - first[slid]) > _DEEP * length]
+    bent_to = shapes(bent, force[:, slid], moment[:, slid], None if down is None else down[:, slid], _PLACES)[0]
+    resolved[slid] = _passes(
+        mesh, moves.start[slid], moves.axes[slid], length * bent_to, travel[slid], first[slid], length
+    )
     free = np.where(touches, 0.0, 1.0)
     return Felt(
         np.where(touches, travel, moves.travel),
@@ -196,6 +209,29 @@ def felt_along(
         resolved,
         np.concatenate([weight, in_air]).T,
     )
+
+
+def _passes(mesh: Any, start: Array, axes: Array, rod: Array, travel: Array, met: Array, length: float) -> Mask:
+    """Whether bent rods pass the body up to their ends (n,), which met it at distances `met` (n,) when they were straight.
+
+    A rod is farther aside the nearer to its end.  So nothing is beside it before the place where a line along the axis first
+    meets the body that goes through its place beside where a line farther inside met it.  These places come to where the rod
+    lies on the body, which is its end, or not.
+
+    rod (3, p, n)
+        places along it in the clamp's frame.
+    """
+    reached, end = met.copy(), travel + rod[1, -1]
+    rows = np.arange(len(end))
+    for _ in range(_BESIDE):
+        s = np.clip((reached[rows] - travel[rows]) / length, 0.0, 1.0) * (len(rod[0]) - 1)
+        before = np.minimum(s.astype(np.intp), len(rod[0]) - 2)
+        beside = rod[:, before, rows] + (s - before) * (rod[:, before + 1, rows] - rod[:, before, rows])
+        beside[1] = 0.0
+        reached[rows] = first_met(mesh, start[rows] + np.einsum("in,nij->nj", beside, axes[rows]), axes[rows, 1])[0]
+        stopped = end - reached > _SLID * np.abs(end - met)
+        rows = np.flatnonzero(stopped)
+    return ~stopped
 
 
 def _direction(normal: Array, friction_angle: Array) -> Array:

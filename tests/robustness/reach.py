@@ -151,8 +151,8 @@ def random_body(seed: int, *, smooth: bool = True) -> tuple[trimesh.Trimesh, flo
             coarse.apply_scale(SIZE / size)
             coarse.units = "mm"
             return coarse, R * SIZE / size
-        # edges of 6 degrees, which count as none
-        fine = mesh_of(form, max(0.1 * R, 0.006 * size))
+        # edges of up to 6 degrees, along diagonals of cubes, which count as none
+        fine = mesh_of(form, 0.06 * R)
         if fine is None or fine.body_count != 1 or not fine.is_watertight:
             continue
         some = random.permutation(len(fine.vertices))[:5000]
