@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -288,22 +287,3 @@ def _plain(value: Any) -> Any:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def parse_rod(text: str) -> Rod | None:
-    """The rod named by ``MATERIAL:DIAMETERxLENGTH`` in mm (``steel:0.3x50``), or None for ``auto``.
-
-    Raises InputError for any other text.
-    """
-    if text == "auto":
-        return None
-    match = re.fullmatch(r"(\w+):([0-9.eE+-]+)x([0-9.eE+-]+)", text)
-    try:
-        if match and match[1] in MODULI_PA:
-            return Rod.wire(float(match[3]) / 1000, float(match[2]) / 1000, MODULI_PA[match[1]])
-    except ValueError as error:
-        raise InputError(f"rod {text!r}: {error}") from None
-    raise InputError(
-        f"a rod is 'auto' or MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, with a material of "
-        f"{', '.join(MODULI_PA)}; got {text!r}"
-    )

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args, ge
 
 from scan3d.choices import METHODS, Method, Model, Probing, Spacing, one_of
 from scan3d.errors import InputError, UsageError
-from scan3d.files.text import did_you_mean, read_section, to_float
-from scan3d.rods import parse_rod
+from scan3d.files.text import did_you_mean, parse_rod, read_section, rod_text, to_float
+from scan3d.rods import Rod
 from scan3d.units import Unit
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ class Settings:
         "0.3", "coefficient of friction, or a range such as 0.0:0.4 from which every sample draws its own"
     )
     rod: str = _setting(
-        "auto", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"
+        "auto",
+        "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50; any rod as a table, like [rod] of a recording; or auto: a "
+        "length that fits the body",
     )
     bead: float = _setting(
         0.0,
@@ -130,7 +132,7 @@ class Given(TypedDict, total=False):
     sweeps: int | Literal["auto"]
     samples: int
     friction: float | str | tuple[float, float]
-    rod: str
+    rod: str | Rod
     bead: float
     clearance: float
     tolerance: float
@@ -237,6 +239,8 @@ def _typed(source: str, name: str, value: Any, kind: type) -> Any:
     """A value of a file or a program in the type of the setting; a list becomes text as on the command line."""
     if hasattr(value, "tolist"):  # a number or an array of numpy
         value = value.tolist()
+    if name == "rod" and isinstance(value, (Rod, Mapping)):
+        value = rod_text(value)
     if kind is str and isinstance(value, (list, tuple)):
         value = (":" if name == "friction" else ",").join(str(item) for item in value)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)

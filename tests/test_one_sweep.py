@@ -9,9 +9,9 @@ from PIL import Image
 
 import planar
 from scan3d.cli import main
+from scan3d.files.text import parse_rod
 from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, read_sweep, reconstruct_sweep
 from scan3d.pictures.views import sweep_figure
-from scan3d.rods import parse_rod
 
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.85), 0.3)
 FRICTION = 0.25

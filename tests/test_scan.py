@@ -18,11 +18,11 @@ from small_scans import CUBE, EGG, RESULTS
 import planar
 import scan3d
 from scan3d.files.meshes import read_mesh
+from scan3d.files.text import parse_rod
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.pictures import canvas
 from scan3d.reconstruction.contacts import contacts
-from scan3d.rods import parse_rod
 
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
 # Contacts are reconstructed to a billionth of the rod's length; rounding could take six digits more.

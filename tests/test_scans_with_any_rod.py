@@ -12,10 +12,12 @@ from shapes import unit
 import planar
 import scan3d
 from scan3d import Gravity, InputError, Rod
+from scan3d.files.text import parse_rod, rod_section, rod_text, to_toml
 from scan3d.geometry.distance import distances
 from scan3d.laboratory.maps import read_map
 from scan3d.reconstruction.contacts import readings
-from scan3d.rods import SLENDERNESS, parse_rod
+from scan3d.rods import SLENDERNESS
+from scan3d.settings import settings
 from scan3d.spatial import march
 from tests.rigs import six_axis_recording
 
@@ -31,6 +33,25 @@ RODS = [
     Rod(0.04, 4e-5, [[0, 3e-4], [0.04, 2e-4]]),
     replace(WIRE, clamp_compliance_rad_per_Nm=20.0),
 ]
+
+
+@pytest.mark.parametrize("rod", RODS)
+def test_scans_take_any_rod_as_an_object_a_table_and_text(rod, tmp_path):
+    text = rod_text(rod)
+    assert parse_rod(text) == rod
+    config = tmp_path / "settings.toml"
+    config.write_text(to_toml({"rod": rod_section(rod)}))
+    for chosen in (settings({"rod": rod}), settings({"rod": text}), settings({}, config)):
+        assert chosen.plan().rod == rod
+        assert settings({"rod": chosen.rod}) == chosen
+
+
+def test_a_scan_with_a_tapered_rod_is_one_of_its_plan():
+    found = scan3d.scan(MESH, rod=CONE, slices=3, sweeps=2, samples=16)
+    same = scan3d.simulate(MESH, scan3d.Plan(rod=CONE, slices=3, sweeps=2, samples=16))
+    np.testing.assert_array_equal(found.recording.moment_Nm, same.moment_Nm)
+    with pytest.raises(InputError, match="unknown names: tip_diamter_m"):
+        scan3d.scan(MESH, rod={"length_m": 0.04, "bending_stiffness_Nm2": 1e-4, "tip_diamter_m": 1e-4})
 
 
 def test_descriptions_of_one_rod_agree():

@@ -13,11 +13,11 @@ import scan3d
 from planar.segments import tangential
 from scan3d import Rod
 from scan3d.bounds.enclosures import _thinner, enclosure, shell, sticking_out
+from scan3d.files.text import parse_rod
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.report import report, summary
-from scan3d.rods import parse_rod
 from scan3d.simulation.felt import grown_extent, sections
 from tests.robustness.bounds import false_statements
 

@@ -26,7 +26,7 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
-from scan3d.rods import parse_rod
+from scan3d.files.text import parse_rod
 from scan3d.units import UNITS_M, Unit, force, length, moment, number, plus_minus, share, unit_question
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from scan3d.cli.terminal import (
     table,
 )
 from scan3d.errors import InputError, UsageError
-from scan3d.rods import parse_rod
+from scan3d.files.text import parse_rod
 from scan3d.settings import Settings, settings
 from scan3d.units import UNITS_M, Unit, length, number, share, unit_question, unit_remark
 

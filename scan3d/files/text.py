@@ -23,7 +23,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from scan3d.errors import InputError
-from scan3d.rods import Rod
+from scan3d.rods import MODULI_PA, Rod
 from scan3d.units import is_finite
 from scan3d.workers import check_memory
 
@@ -339,6 +339,35 @@ def rod_section(rod: Rod) -> dict[str, Any]:
     }
     further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm", "bead_diameter_m")
     return table | {name: value for name in further if (value := getattr(rod, name))}
+
+
+def parse_rod(text: str) -> Rod | None:
+    """The rod named by ``MATERIAL:DIAMETERxLENGTH`` in mm (``steel:0.3x50``) or by `rod_text`, or None for ``auto``.
+
+    Raises InputError for any other text.
+    """
+    if text == "auto":
+        return None
+    match = re.fullmatch(r"(\w+):([0-9.eE+-]+)x([0-9.eE+-]+)", text)
+    try:
+        if match and match[1] in MODULI_PA:
+            return Rod.wire(float(match[3]) / 1000, float(match[2]) / 1000, MODULI_PA[match[1]])
+        table = Section("rod", tomllib.loads(f"rod = {text}")["rod"]) if text.startswith("{") else None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"rod {text!r}: {error}") from None
+    if table is None:
+        raise InputError(
+            "a rod is 'auto', MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, with a material of "
+            f"{', '.join(MODULI_PA)}, or a table like [rod] of a recording in braces; got {text!r}"
+        )
+    rod = read_rod(table)
+    table.finish()
+    return rod
+
+
+def rod_text(rod: Rod | Mapping[str, Any]) -> str:
+    """A rod, or its table [rod], as `parse_rod` reads it: an inline table of TOML."""
+    return _toml_value(rod_section(rod) if isinstance(rod, Rod) else rod)
 
 
 def to_json(data: Mapping[str, Any]) -> bytes:
