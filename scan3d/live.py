@@ -80,7 +80,7 @@ class Live:
         self,
         rig: str | Path | Calibration | Recording,
         *,
-        model: Model = "spatial",
+        model: Model | None = None,
         air_rows: int | None = None,
         noise: tuple[float, float] | None = None,
         lowpass_hz: float | None = None,
@@ -91,7 +91,7 @@ class Live:
             a calibration, whose sensor and clamp correct the rows, or a recording, whose rows are those of the clamp and tared;
             or the TOML file of one of both.
         model
-            'planar' reads fx, fy and mz, 'spatial' all six channels.
+            'planar' reads fx, fy and mz, 'spatial' all six channels; by default what a recording has, and else six.
         air_rows
             the first rows, whose mean is the sensor's zero; 100 with a calibration, and none with a recording.
         noise
@@ -105,7 +105,11 @@ class Live:
 
         Raises InputError for files and values that can't be used.
         """
+        in_plane = isinstance(rig, Recording) and not rig.six_axis
+        model = model or ("planar" if in_plane else "spatial")
         check_choice("model", model, MODELS)
+        if noise is not None and np.shape(noise) != (2,):
+            raise InputError(f"noise is two numbers, of force and of moment, in N and N m; got {noise!r}")
         self._calibration, fields = _of_rig(rig)
         count = air_rows if air_rows is not None else _AIR if self._calibration is not None else 0
         check_whole("air_rows", count, 0)

@@ -34,7 +34,7 @@ class LivePage:
         self._center: Array | None = None
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), self._handler())
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, TypeError) as error:
             raise InputError(
                 f"port {port} can't be served: {error}; choose another one, or 0 for one that is free"
             ) from None

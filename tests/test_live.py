@@ -215,6 +215,9 @@ def test_what_is_no_row_is_refused():
         scan3d.Live(scan3d.Rod(0.05, 1e-4))
     with pytest.raises(InputError, match="lowpass_hz must be above 0, and needs air_rows"):
         scan3d.Live(scanned("planar"), lowpass_hz=5)
+    with pytest.raises(InputError, match="noise is two numbers, of force and of moment"):
+        scan3d.Live(scanned("planar"), noise=1e-3)
+    assert scan3d.Live(scanned("planar")).model == "planar"
 
 
 def test_a_zero_that_can_not_be_found_is_refused(tmp_path):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.choices import MODELS
-from scan3d.errors import InputError
+from scan3d.errors import InputError, UsageError
 from scan3d.files.columns import PARQUET, check_single, parquet_bytes
 from scan3d.files.tables import read_table
 from scan3d.files.text import REQUIRED, Section, read_rod, read_section, rod_section, rows_as_text, to_toml
@@ -258,7 +258,7 @@ def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None)
     """Raise InputError unless poses may be written at the path: its ending, and files that are something else."""
     path = Path(path)
     if path.suffix != ".csv":
-        raise InputError(f"poses are written as .csv, got {path.name!r}")
+        raise UsageError(f"poses are written as .csv, got {path.name!r}")
     check_pair(path, sidecar(path), inputs or {}, overwrite, kind=PLAN)
 
 

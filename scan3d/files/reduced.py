@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.choices import one_of
-from scan3d.errors import InputError
+from scan3d.errors import InputError, UsageError
 from scan3d.files.shapes import Shape, in_unit, read_part
 from scan3d.files.text import rows_as_text
 from scan3d.files.whole import atomic, check_file, folder
@@ -38,7 +38,7 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
     if shape.faces is None:
         raise InputError("only a surface has faces to be left out, and this is a cloud; leave --faces and --error out")
     if (faces is not None and faces < 4) or (error is not None and not 0 < error < np.inf):
-        raise InputError("a surface is left at least 4 faces, and the error is a length above 0; give others")
+        raise UsageError("a surface is left at least 4 faces, and the error is a length above 0; give others")
     solid = found = _solid(shape.points, shape.faces)
     size = float(np.linalg.norm(np.ptp(shape.points, axis=0)))
     low = high = 1e-6 * size
@@ -82,7 +82,7 @@ def cross_section(shape: Shape, plane: str) -> list[Array]:
     except ValueError:
         name = ""
     if not name:
-        raise InputError(f"a section is an axis and a height in {shape.unit}, such as z=12.5; got {plane!r}")
+        raise UsageError(f"a section is an axis and a height in {shape.unit}, such as z=12.5; got {plane!r}")
     if shape.faces is None:
         raise InputError("only a surface has cross-sections, and this is a cloud; give the folder of a scan")
     frame = slice_frame(np.eye(3)["xyz".index(name)])

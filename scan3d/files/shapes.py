@@ -29,7 +29,7 @@ from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
 from scan3d.choices import EXPORTS, one_of
 from scan3d.cloud import Cloud
 from scan3d.comparison import against_own_hull
-from scan3d.errors import InputError
+from scan3d.errors import InputError, UsageError
 from scan3d.files.text import check_readable, rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, check_finished, folder, locate, read_report
 from scan3d.geometry.hulls import DENT_TOLERANCE
@@ -531,7 +531,7 @@ def _contents(ending: str, what: str | None) -> list[str]:
         raise InputError(f"what to export must be one of {', '.join(EXPORTS)}, got {what!r}")
     contents = [kind for kind, endings in _ENDINGS.items() if ending in endings]
     if not contents:
-        raise InputError(
+        raise UsageError(
             f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
             f"{one_of(CLOUD_ENDINGS)}, a surface as {one_of(SURFACE_ENDINGS)}"
         )

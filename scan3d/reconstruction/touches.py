@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 import planar
 from scan3d.arrays import AT_ONCE, Array
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.errors import InputError
+from scan3d.errors import InputError, UsageError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import DENT_TOLERANCE, hull, vertices_of
 from scan3d.geometry.triangles import dot
@@ -217,7 +217,7 @@ def _deviation(given: Array | float | None, count: int, name: str) -> Array | No
     if values.shape not in ((), (count,)):
         raise InputError(f"{name} must be one number or have the shape ({count},), got {values.shape}")
     if not (np.isfinite(values) & (values >= 0)).all():
-        raise InputError(
+        raise UsageError(
             f"{name} must be finite and not negative, got {float(np.min(values)):g}; leave it out if it is unknown"
         )
     return np.broadcast_to(values, count).copy()
