@@ -26,6 +26,7 @@ from scan3d.files.text import read_section
 from scan3d.laboratory.signals import ringing
 from scan3d.planning.plan import check_choice, check_whole
 from scan3d.reconstruction import NoContactError, reconstruct
+from scan3d.reconstruction.agreement import OFF_LINE
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import FORCE_SIGMAS, SIX_AXES, Noise, Recording, as_stated, of_checked, reaction_columns
@@ -137,6 +138,7 @@ class Live:
         self.last_row: Recording | None = None
         """The last row, as a recording of one: tared and corrected; None before there is one."""
         self._sweep, self._begin, self._touched, self._pressed = -1, self._like, False, False
+        self._from, self._going = self._like.position_m[0], np.zeros(2, dtype=bool)
         self._waiting_rows: list[Recording] = []
         self.contacts: list[LiveContact] = []
         """The contacts so far."""
@@ -227,13 +229,19 @@ class Live:
         return contact
 
     def _in_sweeps(self, row: Recording, pressed: bool) -> list[Recording]:
-        """The rows up to this one that are now known to belong to a sweep: a touch, with what is in the air in its plane before
-        and after it.  Rows on the way to another plane belong to none."""
+        """The rows up to this one that are now known to belong to a sweep: a touch, with what is in the air on its way before
+        and after it.  Rows on the way to another sweep belong to none."""
         along = self._begin.axes()[0, 2]
         turned = float(np.abs(row.axes()[0, 2] - along).max())
         moved = abs(float((row.position_m[0] - self._begin.position_m[0]) @ along))
         length, error = row.rod.length_m, FORCE_SIGMAS * row.noise_pose_m
         elsewhere = turned > _APART + error / length or moved > _APART * length + error
+        step = row.position_m[0] - self._from
+        if (way := float(np.linalg.norm(step))) > error / OFF_LINE:
+            # a sweep goes along -x of the clamp, and a probing along y
+            going = (row.axes()[0, :2] @ step) * (-1, 1) >= np.sqrt(1 - OFF_LINE**2) * way
+            elsewhere = elsewhere or not (going & self._going).any()
+            self._from, self._going = row.position_m[0], going
         begins, self._pressed = pressed and not self._pressed, pressed
         if (elsewhere and not (pressed and self._touched)) or (begins and self._touched):
             self._begin, self._touched, self._waiting_rows = row, False, []

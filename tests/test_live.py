@@ -11,6 +11,7 @@ from small_scans import EGG
 import planar
 import scan3d
 from scan3d import InputError
+from scan3d.reconstruction.agreement import checked
 from scan3d.reconstruction.contacts import contacts, readings, without_normals
 from scan3d.recording import of_rows
 from tests.rig_errors import six_axis
@@ -185,6 +186,28 @@ def test_sweeps_are_found_where_the_rod_goes_through_the_air_between_them(noise)
     np.testing.assert_allclose(cloud.points, whole.points, atol=1e-9)
     assert len(np.unique(cloud.sweep)) == len(np.unique(whole.sweep))
     assert len(cloud.slice_height) == len(np.unique(whole.slice))
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_a_rod_that_returns_in_its_own_plane_sweeps_again(model):
+    recording = scanned(model)
+    whole, length = scan3d.reconstruct(recording, model=model), recording.rod.length_m
+    live, wrench = scan3d.Live(recording), np.hstack(six_axis(recording).wrench())
+    for sweep in np.unique(recording.sweep)[:20]:
+        rows = np.flatnonzero(recording.sweep == sweep)
+        first, last = recording.position_m[rows[[0, -1]]]
+        for again in range(2):
+            for row in rows:
+                live.push(0.0, recording.position_m[row], recording.quaternion[row], wrench[row])
+            # out of the body's way, back, and forward to where the sweep began
+            out = -1.5 * length * recording.axes()[rows[0], 1] * (1 + again)
+            for place in (last + out / 2, last + out, first + out, first + out / 2):
+                live.push(0.0, place, recording.quaternion[rows[0]], np.zeros(6))
+    found = live.cloud
+    there = np.isin(whole.sweep, np.unique(recording.sweep)[:20])
+    assert "sweep-direction" not in [one.code for one in checked(live.recording, found).contradictions]
+    assert len(found) == 2 * there.sum()
+    assert len(np.unique(found.sweep)) == 2 * len(np.unique(whole.sweep[there]))
 
 
 def test_what_is_no_row_is_refused():

@@ -85,6 +85,8 @@ BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
 LARGEST_SHARE = 0.1
 """Largest part of the rows with a force that may be left out; where more contradict the rest, nothing is certified."""
+OFF_LINE = 0.05
+"""Part of its way by which a robot's sweep may leave the line along -x of the clamp."""
 FALSE_ALARM = 1e-5
 """Probability that noise makes a correct recording exceed the allowed distances."""
 COMPARED = math.isqrt(AT_ONCE)
@@ -418,12 +420,12 @@ def _off_line(recording: Recording) -> list[Contradiction]:
     last = len(recording) - 1 - np.unique(recording.sweep[::-1], return_index=True)[1]
     travel = recording.position_m[last] - recording.position_m[first]
     way = np.linalg.norm(travel, axis=1)
-    off = 0.05  # of its travel, by which a robot's path may leave a line; digits turn a short one by more than a fault would
-    moved = way > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / off
+    # digits turn a short way by more than a fault would
+    moved = way > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / OFF_LINE
     if not moved.any():
         return []
     along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / way[moved]
-    wrong = along < np.sqrt(1 - off**2)
+    wrong = along < np.sqrt(1 - OFF_LINE**2)
     if not wrong.any():
         return []
     turn = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
