@@ -7,7 +7,7 @@ uncertainty in measurement* (GUM), and JCGM 101:2008 for intervals that are not 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -25,8 +25,10 @@ from scan3d.files.whole import SCHEMA
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
+from scan3d.rigs import RigUncertainty
+from scan3d.rods import Rod
 from scan3d.shown import Rows
-from scan3d.units import length, lengths, number, share, volume
+from scan3d.units import is_finite, length, lengths, number, share, volume
 
 if TYPE_CHECKING:
     import trimesh
@@ -112,14 +114,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "settings": dict(settings),
         "source": dict(analysis.source),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
-        "rod": None
-        if recording is None
-        else {
-            **recording.rod.stated(),
-            "length": cloud.rod_length,
-            **({"bead_diameter": 2 * cloud.bead_radius} if cloud.bead_radius else {}),
-            **_thickness(cloud),
-        },
+        "rod": None if recording is None else _rod(recording.rod, cloud),
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis.contact_error, cloud),
         "friction": _friction(cloud, settings.get("friction")),
@@ -129,23 +124,9 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate) if analysis.has_surface else [],
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
-        "noise": {
-            **(
-                {}
-                if recording is None
-                else {
-                    "force_N": recording.noise.force_N,
-                    "moment_Nm": recording.noise.moment_Nm,
-                    "stated_force_N": recording.noise_force_N,
-                    "stated_moment_Nm": recording.noise_moment_Nm,
-                    "stated_pose_m": recording.noise_pose_m,
-                }
-            ),
-            "independent": cloud.independent,
-            "contact_median": cloud.noise,
-        },
-        **({} if recording is None else _calibration(recording, cloud)),
-        "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
+        "noise": _noise(recording) | {"independent": cloud.independent, "contact_median": cloud.noise},
+        **({} if recording is None else _calibration(recording.rig, cloud)),
+        "coverage": coverage(cloud, analysis.bounds, surface, analysis.certificate)
         | ({} if analysis.any_shape is None else analysis.any_shape.coverage),
         "surface": {
             "method": surface.metadata["method"],
@@ -232,15 +213,28 @@ def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
     }
 
 
-def _thickness(cloud: Cloud) -> dict[str, Any]:
-    """The rod's diameter and what its radius does to the contacts; nothing of a planar recording by a rod without one."""
-    if cloud.in_slices and not cloud.rod_radius:
+def _rod(rod: Rod, cloud: Cloud) -> dict[str, Any]:
+    """What is stated of the rod, and what its radius does to the contacts; a planar recording may state no diameter."""
+    known = rod.stated() | {"length": cloud.rod_length}
+    if cloud.bead_radius:
+        known["bead_diameter"] = 2 * cloud.bead_radius
+    if cloud.rod_radius or not cloud.in_slices:
+        tapered = {"tapered": True} if cloud.tapered else {}
+        radius = {**radius_errors(cloud), "unit": cloud.unit}
+        known |= {"diameter": 2 * cloud.rod_radius, **tapered, "radius": radius}
+    return known
+
+
+def _noise(recording: Recording | None) -> dict[str, float]:
+    """The errors of a recording with those of its digits, and as they are stated."""
+    if recording is None:
         return {}
-    tapered = {"tapered": True} if cloud.tapered else {}
     return {
-        "diameter": 2 * cloud.rod_radius,
-        **tapered,
-        "radius": {**radius_errors(cloud), "unit": cloud.unit},
+        "force_N": recording.noise.force_N,
+        "moment_Nm": recording.noise.moment_Nm,
+        "stated_force_N": recording.noise_force_N,
+        "stated_moment_Nm": recording.noise_moment_Nm,
+        "stated_pose_m": recording.noise_pose_m,
     }
 
 
@@ -296,20 +290,14 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
 
 def _between(reached: Reach | None) -> dict[str, Any]:
     """The volumes of the outer body and between it and the inner one, why there is none, and where they are farthest apart."""
-    if reached is None:
-        return {
-            "outer_volume": None,
-            "volume_between": None,
-            "volume_between_missing": "no reach is stated, and the rod has no bead",
-            "widest": [],
-        }
-    found, outer = reached.volume_between, reached.outer_volume
-    why = reached.refuted or reached.unbounded or "the inner body is empty"
+    found, why = None, "no reach is stated, and the rod has no bead"
+    if reached is not None:
+        found, why = reached.volume_between, reached.refuted or reached.unbounded or "the inner body is empty"
     return {
-        "outer_volume": outer,
+        "outer_volume": None if reached is None else reached.outer_volume,
         "volume_between": found,
         "volume_between_missing": "" if found is not None else why,
-        "widest": reached.widest,
+        "widest": [] if reached is None else reached.widest,
     }
 
 
@@ -369,7 +357,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     if not cloud.convex:
         reason = "the body is not convex"
     elif not bounds.confidence:
-        reason = "the rod's radius changes" if cloud.tapered else _contradicted({"model": cloud.model})
+        reason = "the rod's radius changes" if cloud.tapered else _contradicted(cloud.model)
     else:
         reason = "nothing bounds the body on some side"
 
@@ -424,17 +412,12 @@ def _off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
     return {"noise": noise, "systematic": 0.0 if allow is None else allow.largest}
 
 
-def _calibration(recording: Recording, cloud: Cloud) -> dict[str, Any]:
-    """What is not known exactly of the rig that corrected a recording, and the standard deviations of contacts that follow.
-
-    A dictionary of one entry, ``calibration``; an empty one without a calibration.
-    """
-    rig, found = recording.rig, cloud.calibration
-    if rig is None or found is None:
+def _calibration(rig: RigUncertainty | None, cloud: Cloud) -> dict[str, Any]:
+    """The entry on what is not known exactly of the rig that corrected a recording; none without a calibration."""
+    if rig is None or (found := cloud.calibration) is None:
         return {}
-    deviations = np.sqrt(np.diag(rig.covariance))
     known = {
-        "standard_deviations": dict(zip(rig.names, map(float, deviations), strict=True)),
+        "standard_deviations": dict(zip(rig.names, np.sqrt(np.diag(rig.covariance)).tolist(), strict=True)),
         "taken_as_exact": list(rig.exact),
         "independent_errors": found.count,
         "contact_median": float(np.median(found.place_sd)),
@@ -472,118 +455,141 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
 
 def summary(data: Mapping[str, Any]) -> tuple[str, Rows]:
     """The most important numbers of a report: what it comes to in a sentence, and the name and value of each quantity."""
-    counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    where = "space" if data.get("model") == "spatial" else _count(counts["slices"], "slice")
-    probings, rows = counts.get("probings", 0), _filled(data)
-    sweeps = f"{_count(counts['sweeps'] - probings, 'sweep')} in {where}" if counts["sweeps"] > probings else ""
-    sweeps = " and ".join(filter(None, [sweeps, _count(probings, "probing") if probings else ""]))
-    of_hull = f" from the {HULL_OF_MESH}" if rows else ""
+    return _in_a_sentence(data), [*_of_contacts(data), *_of_surface(data), *_of_certificate(data)]
+
+
+def _of_contacts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What was scanned and touched, how well contacts are known, and what was left out."""
+    counts, certified, rod, errors = data["counts"], data["certificate"], data.get("rod") or {}, data["contact_error"]
+    mesh, probings = data.get("mesh") or {}, counts.get("probings", 0)
+    if filled := mesh.get("filled"):
+        dents = f", which fills dents up to {length(filled['depth'], mesh['unit'])} deep" if filled["depth"] else ""
+        part = "" if filled["volume_relative"] is None else f", {share(filled['volume_relative'])} of its volume"
+        yield "scanned", f"the {HULL_OF_MESH}{dents}{part}{'; the mesh is open' if filled['open'] else ''}"
     if data.get("model") == "touches":
-        rows.append(("touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"))
+        yield "touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"
     else:
-        rows.append(("contacts", f"{counts['contacts']} of {counts['samples']} samples, {sweeps}"))
+        where = "space" if data.get("model") == "spatial" else _count(counts["slices"], "slice")
+        sweeps = f"{_count(counts['sweeps'] - probings, 'sweep')} in {where}" if counts["sweeps"] > probings else ""
+        moves = " and ".join(filter(None, [sweeps, _count(probings, "probing") if probings else ""]))
+        yield "contacts", f"{counts['contacts']} of {counts['samples']} samples, {moves}"
     if errors:
-        rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
+        yield "contact error", f"{length(errors['max'], errors['unit'])} at most{of_scanned(data, 'from')}"
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
     if data.get("model") == "planar" and swept < most and not probings:
-        slices = f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
-        rows.append(("slices", slices))
-    median = data["friction"]["estimated_median"]
-    if median is not None:
+        yield "slices", f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
+    if (median := data["friction"]["estimated_median"]) is not None:
         given = f"; set: {data['friction']['set']}" if data["friction"]["set"] else ""
-        rows.append(("friction", f"{number(median)} (median, estimated from touch{given})"))
+        yield "friction", f"{number(median)} (median, estimated from touch{given})"
     if counts["light"]:
-        rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
-    if (left_out := data["certificate"].get("left_out")) and left_out["rows"]:
+        yield "light touches", f"{counts['light']} contacts left out, whose place the noise hides"
+    if (left_out := certified.get("left_out")) and left_out["rows"]:
         part = f"{left_out['rows']} rows that contradict their neighbours, {share(left_out['share'])} of those with a force"
-        factor = number(left_out["noise_factor"])
-        rows.append(("left out", f"{part}; the others count with {factor} times the stated noise"))
-    rows += [("not measured", words) for words in data["certificate"].get("not_measured", ())]
-    rod = data.get("rod") or {}
-    radius = rod.get("radius", {})
-    if radius.get("moved"):
-        unit = radius["unit"]
-        left, moved = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0), length(radius["moved"], unit)
+        yield "left out", f"{part}; the others count with {number(left_out['noise_factor'])} times the stated noise"
+    for words in certified.get("not_measured", ()):
+        yield "not measured", words
+    if (radius := rod.get("radius", {})).get("moved"):
+        left, unit = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0), radius["unit"]
         leaves = f", which leaves errors up to {length(left, unit, digits=1, up=True)}" if left else ""
-        rows.append(("rod's radius", f"contacts moved by {moved} from the rod's centre line{leaves}"))
-    if (rig := data.get("calibration")) and (systematic := data["certificate"]["parts"]["systematic"]) is not None:
-        allowed_for = length(systematic, data["certificate"]["unit"], up=True)
+        yield "rod's radius", f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line{leaves}"
+    if (rig := data.get("calibration")) and (systematic := certified["parts"]["systematic"]) is not None:
         exact = ", ".join(rig["taken_as_exact"])
         unknown = f"; not determined by it, and taken as exact: {exact}" if exact else ""
-        rows.append(("calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"))
-    surface = data["surface"]
+        allowed_for = length(systematic, certified["unit"], up=True)
+        yield "calibration", f"allowed for with up to {allowed_for} at a contact{unknown}"
+
+
+def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """How the surface was made, how far it is from the true body, and what of a body that is not convex is known."""
+    surface, counts, distances = data["surface"], data["counts"], data["hausdorff"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     method = _IN_WORDS.get(surface["method"], surface["method"])
-    rows.append(("surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"))
-    if hausdorff:
-        to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""
-        rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
-        if hausdorff.get("mesh_itself"):
-            rows.append(("to the mesh itself", _distance(hausdorff["mesh_itself"], hausdorff["unit"])))
-        if near := hausdorff.get("reached"):
-            worst, mean = (length(near[name], hausdorff["unit"]) for name in ("max", "mean"))
+    yield "surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"
+    if distances:
+        unit = distances["unit"]
+        yield "Hausdorff distance", _distance(distances, unit) + of_scanned(data, "to")
+        if distances.get("mesh_itself"):
+            yield "to the mesh itself", _distance(distances["mesh_itself"], unit)
+        if near := distances.get("reached"):
             part = share(near["max"] / data["comparison"]["diagonal"])
-            over = f"{mean} in the mean, over {share(near['share'])} of the area"
-            rows.append(("where touched", f"{worst} at most ({part} of the diagonal), {over}"))
-    certified = data["certificate"]
+            over = f"{length(near['mean'], unit)} in the mean, over {share(near['share'])} of the area"
+            yield "where touched", f"{length(near['max'], unit)} at most ({part} of the diagonal), {over}"
     measured = next((one for one in data.get("measurands", ()) if one["quantity"] == "volume"), None)
-    low, high = measured["interval"] if measured and not data["warnings"] else (None, None)
-    if measured and low is not None and high is not None and np.isfinite([low, high]).all():
-        known = volume(measured["value"], low, high, certified["unit"])
-        rows.append(("volume", f"{known}, certified{of_scanned(data)}"))
-    rows += _known_rows(data)
+    if measured and not data["warnings"] and all(map(is_finite, measured["interval"])):
+        low, high = measured["interval"]
+        known = volume(measured["value"], low, high, data["certificate"]["unit"])
+        yield "volume", f"{known}, certified{of_scanned(data)}"
+    if "second_contacts" in counts:
+        left_out = counts["second_contacts"]
+        yield "second contacts", f"{left_out} samples left out, whose rod touched at another place as well"
+        if hidden := counts["hidden_second_contacts"]:
+            yield "hidden", f"{hidden} contacts are wrong because a second one stayed hidden"
+        if off := counts.get("off_surface"):
+            wrong = f"{off} contacts lie farther from the surface than contacts are apart: they are wrong, or "
+            yield "off the surface", wrong + "on features finer than what was touched; more slices show them"
+
+
+def _of_certificate(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What is certified, or why nothing is, and what the certificate assumes, as far as the data could test it."""
+    certified = data["certificate"]
+    yield "certified", _certified(data)
+    if (
+        data["surface"]["method"]
+        and not data["warnings"]
+        and ("contours" in certified or is_finite(certified["bound"]))
+    ):
+        premises = certified["premises"]
+        untested = ", ".join(premise["assumed"] for premise in premises if not premise["tested"])
+        outcomes = "; ".join(premise["outcome"] for premise in premises if premise["tested"])
+        yield "assumed", certified["premise"]
+        yield "tested", "; ".join(filter(None, [outcomes, f"not tested: {untested}" if untested else ""]))
+    if certified.get("grown"):
+        yield "measured", certified["grown"]
+
+
+def _certified(data: Mapping[str, Any]) -> str:
+    certified, counts = data["certificate"], data["counts"]
     if data["warnings"]:
-        rows.append(("certified", f"nothing, because {_contradicted(data)}: see the warnings"))
-    elif not surface["method"]:
-        rows.append(("certified", "nothing, as there is no surface"))
-    elif "contours" in certified:
-        bound, contours = certified["contours"]["bound"], "nothing"
-        if bound is not None and np.isfinite(bound):
-            contours = f"outer contours within {length(bound, certified['unit'], up=True)}"
-        between = "between them nothing, because the body is not convex"
-        if certified["bound"] is not None and np.isfinite(certified["bound"]):
-            rows.append(("certified", f"within {length(certified['bound'], certified['unit'], up=True)}, by the reach"))
-        elif certified.get("outer_volume") is not None:
+        return f"nothing, because {_contradicted(data.get('model'))}: see the warnings"
+    if not data["surface"]["method"]:
+        return "nothing, as there is no surface"
+    if is_finite(certified["bound"]):
+        bound, table = _within(certified), certified.get("table")
+        if "contours" in certified:
+            return f"{bound}, by the reach"
+        on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
+        part = f"({share(certified['relative'], up=True)} of the diagonal){of_scanned(data)}"
+        return f"{bound} {part}, from touch alone{on_table}{_with_confidence(certified)}"
+    if "contours" in certified:
+        nothing = "nothing, because the body is not convex"
+        if certified.get("outer_volume") is not None:
             gaps = len(certified["widest"])
             left = (
                 f"; {gaps} places outside of the surface are narrower than the bead, or not on its way" if gaps else ""
             )
-            rows.append(("certified", f"from outside, by the bead: the body lies in that of outer.ply{left}"))
-        elif probings:
-            rows.append(
-                ("certified", "nothing, because the body is not convex; --reach states how fine its features are")
-            )
-        elif data.get("model") == "touches":
-            rows.append(("certified", "nothing, because the body is not convex"))
-        else:
-            rows.append(("certified", f"{contours} in the planes of the slices; {between}"))
-        rows += _premise_rows(certified)
-    elif certified["bound"] is not None and np.isfinite(certified["bound"]):
-        bound = length(certified["bound"], certified["unit"], up=True)
-        bound = f"{bound} ({share(certified['relative'], up=True)} of the diagonal){of_scanned(data)}"
-        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
-        table = certified.get("table")
-        on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
-        rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
-        rows += _premise_rows(certified)
-    elif rod.get("tapered"):
-        why = "the rod's radius changes along it, and no one radius grows the body to what its centre line touches"
-        rows.append(("certified", f"nothing, because {why}"))
-    elif certified.get("missing"):
-        rows.append(("certified", f"nothing: {certified['missing']}"))
-    else:
-        nothing = "nothing, because no contact bounds the body on some side of it"
-        hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
-        count = data["counts"].get("unproven_slices", 0)
-        unproven = f"; {count} slices without contact prove no end, because their sweeps miss places that it may reach"
-        rows.append(("certified", nothing + (unproven if count else "") + hint))
-    if certified.get("grown"):
-        rows.append(("measured", certified["grown"]))
-    return _in_a_sentence(data), rows
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+            return f"from outside, by the bead: the body lies in that of outer.ply{left}"
+        if counts.get("probings"):
+            return f"{nothing}; --reach states how fine its features are"
+        if data.get("model") == "touches":
+            return nothing
+        contours = certified["contours"]["bound"]
+        within = (
+            f"outer contours within {length(contours, certified['unit'], up=True)}"
+            if is_finite(contours)
+            else "nothing"
+        )
+        return f"{within} in the planes of the slices; between them {nothing}"
+    if (data.get("rod") or {}).get("tapered"):
+        return (
+            "nothing, because the rod's radius changes along it, and no one radius grows the body to what its centre line "
+            "touches"
+        )
+    if certified.get("missing"):
+        return f"nothing: {certified['missing']}"
+    unproven, words = counts.get("unproven_slices", 0), "nothing, because no contact bounds the body on some side of it"
+    if unproven:
+        words += f"; {unproven} slices without contact prove no end, because their sweeps miss places that it may reach"
+    return words + ("; if it stands on a table, state the height by --table" if certified.get("table") is None else "")
 
 
 def _in_a_sentence(data: Mapping[str, Any]) -> str:
@@ -592,13 +598,12 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     if not data["surface"]["method"]:
         return "contacts, and neither surface nor certificate"
     if data["warnings"]:
-        return f"nothing certified: {_contradicted(data)}"
+        return f"nothing certified: {_contradicted(data.get('model'))}"
     if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):
         return touched(coverage, certified["unit"])
-    if certified["bound"] is not None and np.isfinite(certified["bound"]):
-        bound = length(certified["bound"], certified["unit"], up=True)
-        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
-        return f"within {bound}{of_scanned(data) or ' of the body'}, certified from touch{confidence}"
+    if is_finite(certified["bound"]):
+        body = of_scanned(data) or " of the body"
+        return f"{_within(certified)}{body}, certified from touch{_with_confidence(certified)}"
     if "known" in coverage:
         shares = (
             f"{share(coverage['known'])} of the surface known, {share(coverage['estimated'])} estimated between slices"
@@ -607,24 +612,29 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     return "nothing certified: the summary says what is missing"
 
 
-def _contradicted(data: Mapping[str, Any]) -> str:
-    is_touched = data.get("model") == "touches"
-    return "the touches contradict each other" if is_touched else "the recording contradicts the model"
+def _within(certified: Mapping[str, Any]) -> str:
+    return f"within {length(certified['bound'], certified['unit'], up=True)}"
 
 
-def _known_rows(data: Mapping[str, Any]) -> Rows:
-    """What of the surface of a body that is not convex is known, and what of the samples; none of a convex one."""
-    counts = data["counts"]
-    if "second_contacts" not in counts:
-        return []
-    left_out, hidden = counts["second_contacts"], counts["hidden_second_contacts"]
-    rows = [("second contacts", f"{left_out} samples left out, whose rod touched at another place as well")]
-    if hidden:
-        rows.append(("hidden", f"{hidden} contacts are wrong because a second one stayed hidden"))
-    if counts.get("off_surface"):
-        off = f"{counts['off_surface']} contacts lie farther from the surface than contacts are apart: they are wrong, or "
-        rows.append(("off the surface", off + "on features finer than what was touched; more slices show them"))
-    return rows
+def _with_confidence(certified: Mapping[str, Any]) -> str:
+    return f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
+
+
+def _contradicted(model: str | None) -> str:
+    return "the touches contradict each other" if model == "touches" else "the recording contradicts the model"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _distance(part: Mapping[str, Any], unit: str) -> str:
+    return f"{length(part['two_sided'], unit)} ({share(part['relative'])} of the diagonal)"
+
+
+def of_scanned(data: Mapping[str, Any], word: str = "of") -> str:
+    """What a report's bounds are of, where that is not the mesh itself: `` of the convex hull of the mesh``; else empty."""
+    return f" {word} the {HULL_OF_MESH}" if (data.get("mesh") or {}).get("scanned", "mesh") != "mesh" else ""
 
 
 def touched(coverage: Mapping[str, Any], unit: str) -> str:
@@ -647,45 +657,16 @@ def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
     return f"{left} unknown, {where}" + (f": {reason}" if reason else "")
 
 
-def _premise_rows(certified: Mapping[str, Any]) -> Rows:
-    """What the certificate assumes, and what became of the premises that the data could test."""
-    premises = certified["premises"]
-    untested = ", ".join(premise["assumed"] for premise in premises if not premise["tested"])
-    outcomes = "; ".join(premise["outcome"] for premise in premises if premise["tested"])
-    left = f"not tested: {untested}" if untested else ""
-    return [("assumed", certified["premise"]), ("tested", "; ".join(filter(None, [outcomes, left])))]
-
-
-def _distance(part: Mapping[str, Any], unit: str) -> str:
-    return f"{length(part['two_sided'], unit)} ({share(part['relative'])} of the diagonal)"
-
-
-def of_scanned(data: Mapping[str, Any]) -> str:
-    """What a report's bounds are of, where that is not the mesh itself: `` of the convex hull of the mesh``; else empty."""
-    return f" of the {HULL_OF_MESH}" if (data.get("mesh") or {}).get("scanned", "mesh") != "mesh" else ""
-
-
-def _filled(data: Mapping[str, Any]) -> Rows:
-    """The row on what was scanned in the place of a mesh that is not convex, and what that fills; none for a convex mesh."""
-    mesh = data.get("mesh") or {}
-    filled = mesh.get("filled")
-    if not filled:
-        return []
-    filling = filled["volume_relative"]
-    dents = f", which fills dents up to {length(filled['depth'], mesh['unit'])} deep" if filled["depth"] else ""
-    part = "" if filling is None else f", {share(filling)} of its volume"
-    closes = "; the mesh is open" if filled["open"] else ""
-    return [("scanned", f"the {HULL_OF_MESH}{dents}{part}{closes}")]
-
-
 def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """The summary of a report for pages and pictures, with the size of the body and the likeliest fault."""
     heading, rows = summary(data)
-    mesh, diagnosis = data["mesh"] or {}, data.get("diagnosis")
     figures = [("scan", heading)]
-    if mesh:
+    if mesh := data["mesh"]:
         size, symbol = lengths(mesh["extents"], data["certificate"]["unit"])
         figures.append(("size", f"{' × '.join(size)} {symbol}"))
-    contradictions = [("contradicted", ", ".join(warning["code"] for warning in data["warnings"]))]
-    figures += rows + (contradictions if data["warnings"] else [])
-    return (*figures, *([("diagnosis", diagnosis["message"])] if diagnosis else []))
+    figures += rows
+    if data["warnings"]:
+        figures.append(("contradicted", ", ".join(warning["code"] for warning in data["warnings"])))
+    if diagnosis := data.get("diagnosis"):
+        figures.append(("diagnosis", diagnosis["message"]))
+    return tuple(figures)
