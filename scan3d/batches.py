@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
@@ -31,12 +32,24 @@ from scan3d.workers import Workers, undone_if_ended
 Row = dict[str, Any]
 """A row of the summary, by column; what is not known is None."""
 DONE, FAILED = "done", "failed"
-COLUMNS = (
-    *("run", "mesh", "mesh_sha256", *(field.name for field in dataclasses.fields(Settings)), "status", "error"),
-    *("scanned", "hausdorff", "hausdorff_relative", "hausdorff_mesh", "certificate", "certificate_relative"),
-    *("contacts", "contact_error", "friction_estimated", "surface_method", "volume_error", "normals_median_deg"),
-    *("coverage", "warnings", "seconds"),
-)
+# The figures of a report that the summary has, by column, and where the report has them.
+_FIGURES = {
+    "scanned": ("mesh", "scanned"),
+    "hausdorff": ("hausdorff", "two_sided"),
+    "hausdorff_relative": ("hausdorff", "relative"),
+    "hausdorff_mesh": ("hausdorff", "mesh_itself", "two_sided"),
+    "certificate": ("certificate", "bound"),
+    "certificate_relative": ("certificate", "relative"),
+    "contacts": ("counts", "contacts"),
+    "contact_error": ("contact_error", "max"),
+    "friction_estimated": ("friction", "estimated_median"),
+    "surface_method": ("surface", "method"),
+    "volume_error": ("comparison", "volume_error"),
+    "normals_median_deg": ("comparison", "normal_median_deg"),
+    "coverage": ("coverage", "surface"),
+}
+_OF_SETTINGS = (field.name for field in dataclasses.fields(Settings))
+COLUMNS = ("run", "mesh", "mesh_sha256", *_OF_SETTINGS, "status", "error", *_FIGURES, "warnings", "seconds")
 """The columns of the summary."""
 # Seconds for which a scheduler is looked for.
 _PATIENCE_S = 30
@@ -58,12 +71,20 @@ class Batch:
     @property
     def ranks(self) -> Ranks:
         """The rows of the best, the median and the worst run by the Hausdorff distance relative to the diagonal."""
-        return _ranks(self.rows)
+        known = [row for row in self.rows if row["status"] == DONE and row["hausdorff_relative"] is not None]
+        known.sort(key=lambda row: float(row["hausdorff_relative"]))
+        return Ranks(known[0], known[(len(known) - 1) // 2], known[-1]) if known else Ranks(None, None, None)
 
     @property
     def failures(self) -> list[Row]:
         """The rows of the runs that have failed."""
         return [row for row in self.rows if row["status"] == FAILED]
+
+    def figures(self) -> dict[str, Any]:
+        """The counts of runs, the names of the best, the median and the worst one, and the rows, as batch.json has them."""
+        total, failed = len(self.rows), len(self.failures)
+        ranks = {name: row and row["run"] for name, row in self.ranks._asdict().items()}
+        return {"counts": {"runs": total, "done": total - failed, "failed": failed}, **ranks, "runs": list(self.rows)}
 
     def __repr__(self) -> str:
         return f"Batch of {len(self.rows)} runs, {len(self.failures)} failed, in {self.folder}"
@@ -152,14 +173,10 @@ def batch(
                     notify(notice)
                 notices.add(notice)
             progress(BatchProgress(done, len(runs), len(failures)))
-        rows = tuple(_row(run, failures.get(run.name)) for run in runs)
-        ranks = {name: None if row is None else row["run"] for name, row in _ranks(rows)._asdict().items()}
-        result.put("summary.csv", _csv(rows))
-        failed = sum(row["status"] == FAILED for row in rows)
-        counts = {"runs": len(rows), "done": len(rows) - failed, "failed": failed}
-        versions = {"scan3d": version("scan3d")}
-        result.commit({"schema": SCHEMA, "versions": versions, "counts": counts, **ranks, "runs": list(rows)})
-    return Batch(folder, rows, len(missing))
+        made = Batch(folder, tuple(_row(run, failures.get(run.name)) for run in runs), len(missing))
+        result.put("summary.csv", _csv(made.rows))
+        result.commit({"schema": SCHEMA, "versions": {"scan3d": version("scan3d")}, **made.figures()})
+    return made
 
 
 # --- runs ---
@@ -395,34 +412,14 @@ def _row(run: Run, failure: Outcome | None) -> Row:
     return {**row, "status": FAILED, "error": failure.error, "surface_method": "", "seconds": failure.seconds}
 
 
-def _figures(report: Mapping[str, Any]) -> Row:
+def _figures(report: Any) -> Row:
+    def entry(part: Any, key: str) -> Any:
+        return (part or {}).get(key)
 
-    def value(section: str, name: str) -> Any:
-        return (report.get(section) or {}).get(name)
-
-    return {
-        "scanned": value("mesh", "scanned"),
-        "hausdorff": value("hausdorff", "two_sided"),
-        "hausdorff_relative": value("hausdorff", "relative"),
-        "hausdorff_mesh": (value("hausdorff", "mesh_itself") or report.get("hausdorff") or {}).get("two_sided"),
-        "certificate": value("certificate", "bound"),
-        "certificate_relative": value("certificate", "relative"),
-        "contacts": value("counts", "contacts"),
-        "contact_error": value("contact_error", "max"),
-        "friction_estimated": value("friction", "estimated_median"),
-        "surface_method": value("surface", "method"),
-        "volume_error": value("comparison", "volume_error"),
-        "normals_median_deg": value("comparison", "normal_median_deg"),
-        "coverage": value("coverage", "surface"),
-        "warnings": len(report["warnings"]),
-        "seconds": round(sum(report["timings_s"].values()), 3),
-    }
-
-
-def _ranks(rows: Sequence[Row]) -> Ranks:
-    known = [row for row in rows if row["status"] == DONE and row["hausdorff_relative"] is not None]
-    known.sort(key=lambda row: float(row["hausdorff_relative"]))
-    return Ranks(known[0], known[(len(known) - 1) // 2], known[-1]) if known else Ranks(None, None, None)
+    row = {name: reduce(entry, place, report) for name, place in _FIGURES.items()}
+    if row["hausdorff_mesh"] is None:  # the mesh itself was scanned
+        row["hausdorff_mesh"] = row["hausdorff"]
+    return row | {"warnings": len(report["warnings"]), "seconds": round(sum(report["timings_s"].values()), 3)}
 
 
 def _csv(rows: Sequence[Row]) -> bytes:

@@ -533,25 +533,19 @@ def batch(
 
 
 def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
-    failed, total = done.failures, len(done.rows)
-    before = f", {total - done.computed} of them by an earlier call" if done.computed < total else ""
-    heading = f"{total} runs{before}: {total - len(failed)} done, {len(failed)} failed, in {duration(seconds)}"
-    ranks = done.ranks._asdict()
-    rows = [(name, _figures(row)) for name, row in ranks.items() if row is not None]
+    failed, figures = done.failures, done.figures()
+    counts = figures["counts"]
+    before = f", {counts['runs'] - done.computed} of them by an earlier call" if done.computed < counts["runs"] else ""
+    in_all = f"{counts['done']} done, {counts['failed']} failed, in {duration(seconds)}"
+    rows = [(name, _figures(row)) for name, row in done.ranks._asdict().items() if row is not None]
     rows += [("failed", f"{row['run']}: {row['error']}") for row in failed[:20]]
     if len(failed) > 20:
         rows.append(("failed", f"and {len(failed) - 20} more, which summary.csv names"))
-    data = {
-        "out": str(out),
-        "counts": {"runs": total, "done": total - len(failed), "failed": len(failed)},
-        "computed": done.computed,
-        "seconds": round(seconds, 3),
-        **{name: None if row is None else row["run"] for name, row in ranks.items()},
-        "runs": list(done.rows),
-    }
+    data = {"out": str(out), "counts": counts, "computed": done.computed, "seconds": round(seconds, 3)} | figures
+    heading = f"{counts['runs']} runs{before}: {in_all}"
     print_result(output, data, table(heading, [*rows, ("written to", str(out))]))
     if failed:
-        say(f"{len(failed)} of {total} runs failed; summary.csv in {out} says why")
+        say(f"{len(failed)} of {counts['runs']} runs failed; summary.csv in {out} says why")
     return 1 if failed else 0
 
 
