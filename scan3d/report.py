@@ -270,8 +270,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "relative": analysis.certificate.relative(cloud.points),
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
-        "confidence": _confidence(cloud, bounds, analysis.certificate, contours)
-        or (allowed(cloud).confidence if reached is not None and reached.outer_volume is not None else None),
+        "confidence": _confidence(cloud, bounds, bound, contours, None if reached is None else reached.outer_volume),
         "premise": "; ".join(premise.assumed for premise in assumed),
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
@@ -350,7 +349,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
 
     All intervals hold together, under the premises of the certificate.
     """
-    unit, probability = cloud.unit, _confidence(cloud, bounds, certified)
+    unit, probability = cloud.unit, _confidence(cloud, bounds, certified.bound)
     allow = _allowed(cloud, bounds)
     factor = None if allow is None else allow.kappa or allow.factor
 
@@ -388,10 +387,9 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     ]
 
 
-def _confidence(cloud: Cloud, bounds: Enclosure, certified: Certificate, contours: float | None = None) -> float | None:
-    """The probability with which what is certified holds: the bound, or that of the `contours`; None if nothing is."""
-    by_reach = np.isfinite([certified.bound, np.inf if contours is None else contours]).any()
-    return bounds.confidence or (allowed(cloud).confidence if by_reach else None)
+def _confidence(cloud: Cloud, bounds: Enclosure, *stated: float | None) -> float | None:
+    """The probability with which what is certified holds; None if neither the enclosure nor what is stated is finite."""
+    return bounds.confidence or (allowed(cloud).confidence if any(map(is_finite, stated)) else None)
 
 
 def _allowed(cloud: Cloud, bounds: Enclosure) -> Allowed | None:
@@ -426,14 +424,6 @@ def _calibration(rig: RigUncertainty | None, cloud: Cloud) -> dict[str, Any]:
     return {"calibration": known}
 
 
-def _local_bounds(bounds: Enclosure, surface: Any, certified: Certificate) -> tuple[Any, Array]:
-    """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
-    if bounds.slabs is None and bounds.confidence and len(surface.faces) < 2000:
-        fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / 50, max_iter=100)
-        return fine, certificate(bounds, fine).at_vertices
-    return surface, certified.at_vertices
-
-
 def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> dict[str, Any]:
     """How much of the body the contacts cover.
 
@@ -444,7 +434,10 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
     within = (1e-3 if cloud.in_slices else 5e-3) * diagonal
     if not bounds.confidence:
         return {"surface": None, "surface_within": within}
-    surface, bound = _local_bounds(bounds, surface, certified)
+    bound = certified.at_vertices
+    if bounds.slabs is None and len(surface.faces) < 2000:  # contacts lie anywhere, and facets may be large
+        surface = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / 50, max_iter=100)
+        bound = certificate(bounds, surface).at_vertices
     area = np.asarray(surface.area_faces)
     closed = bound[surface.faces].max(axis=1) <= within
     return {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}

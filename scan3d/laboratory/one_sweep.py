@@ -166,25 +166,22 @@ def read_sweep(
     path = Path(path)
     table = read_table(path)
     si = bool(set(SI_COLUMNS) & set(table.names))
-    stated_rod, stated_force, stated_moment, known = _read_sidecar(sidecar(path), si)
-    names = _columns(table, known)
-    x0, *reactions = (None if name is None else table.numbers(table.names.index(name), gaps=True) for name in names)
-    force = stated_force if noise_force is None else noise_force
-    moment = stated_moment if noise_moment is None else noise_moment
+    stated = _read_sidecar(sidecar(path), si)
+    names = _columns(table, stated.get("known"))
+    columns: list[Any] = [None if name is None else table.numbers(table.names.index(name), gaps=True) for name in names]
+    given = {"rod": rod, "noise_force": noise_force, "noise_moment": noise_moment}
+    stated |= {name: value for name, value in given.items() if value is not None}
     if rod is not None and not si:
         raise InputError(
             f"{path.name}: its columns are dimensionless and need no rod; with a rod they are {', '.join(SI_COLUMNS)}"
         )
-    rod = rod or stated_rod
-    if si and rod is None:
+    if si and stated.get("rod") is None:
         raise InputError(
             f"{path.name}: its columns are in SI units and need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a "
             f"section [rod] in {sidecar(path).name}"
         )
     try:
-        assert x0 is not None
-        f0x, f0y, m0z = reactions
-        return OneSweep(x0, f0x, f0y, m0z, rod, force, moment, known)
+        return OneSweep(*columns, **stated)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
@@ -217,10 +214,10 @@ def _columns(table: Table, known: Known | None) -> list[str | None]:
     return [None if name in missing else name for name in columns]
 
 
-def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float, Known | None]:
-    """Rod, noise and what is known, in the TOML file beside a table; None and zeros where it does not state them."""
+def _read_sidecar(path: Path, si: bool) -> dict[str, Any]:
+    """Rod, noise and what is known, in the TOML file beside a table, as `OneSweep` takes them; nothing without a file."""
     if not path.exists():
-        return None, 0.0, 0.0, None
+        return {}
     meta = read_section(path, "TOML file of the table")
     meta.any("schema")
     meta.notes("source")
@@ -234,7 +231,7 @@ def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float, Known
         )
     known = read_known(meta.section("known")) if "known" in meta else None
     meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
-    return rod, force, moment, known
+    return {"rod": rod, "noise_force": force, "noise_moment": moment, "known": known}
 
 
 def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
