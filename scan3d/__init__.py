@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scan3d.batches import Batch as Batch
     from scan3d.batches import batch as batch
     from scan3d.calibration.report import Calibration as Calibration
+    from scan3d.calibration.report import calibrate as calibrate
     from scan3d.calibration.report import read_rig as read_rig
     from scan3d.calibration.report import write_rig as write_rig
     from scan3d.cloud import Cloud as Cloud
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from scan3d.planning import Plan as Plan
     from scan3d.recording import Recording as Recording
     from scan3d.results import Result as Result
-    from scan3d.results import calibrate as calibrate
     from scan3d.results import compare as compare
     from scan3d.results import load as load
     from scan3d.results import open as open
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _NAMES = {
     "batches": "Batch batch",
-    "calibration.report": "Calibration read_rig write_rig",
+    "calibration.report": "Calibration calibrate read_rig write_rig",
     "cloud": "Cloud",
     "comparison": "Comparison",
     "errors": "InputError",
@@ -74,7 +74,7 @@ _NAMES = {
     "pictures.notebook": "plot",
     "planning.plan": "Plan",
     "recording": "Recording",
-    "results": "Result calibrate compare load open reconstruct save scan simulate surface touches",
+    "results": "Result compare load open reconstruct save scan simulate surface touches",
     "rods": "Gravity Rod",
     "session": "Session",
 }

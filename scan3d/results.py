@@ -10,12 +10,12 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Unpack
 
 import numpy as np
 import trimesh
@@ -24,9 +24,7 @@ import planar
 from planar.plots import to_frame, words
 from scan3d import comparison, pipeline
 from scan3d.bounds import Certificate
-from scan3d.calibration.report import Calibration
-from scan3d.calibration.report import calibrate as calibrate_rig
-from scan3d.choices import Color, Method, Model, Tare, View, one_of
+from scan3d.choices import Color, Method, Model, View, one_of
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, NoBodyError, import_open3d
@@ -34,7 +32,7 @@ from scan3d.files import whole
 from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
 from scan3d.files.points import Points, read_all_points
-from scan3d.files.recordings import read_recording, sidecar, write_recording
+from scan3d.files.recordings import as_recording, read_recording, sidecar, write_recording
 from scan3d.files.shapes import (
     COVARIANCE,
     NORMAL,
@@ -77,10 +75,6 @@ _Path = str | os.PathLike[str]
 _Step = TypeVar("_Step", bound=Callable[..., Any])
 
 
-def _recording(given: Recording | _Path) -> Recording:
-    return read_recording(Path(given)) if isinstance(given, (str, os.PathLike)) else given
-
-
 def _described_by(inner: Callable[..., Any], further: str) -> Callable[[_Step], _Step]:
     """Gives a step the description of the function that does its work, and a further sentence."""
 
@@ -102,7 +96,7 @@ def simulate(mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: 
 @_described_by(reconstruct_contacts, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
 @in_one_thread
 def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
-    return reconstruct_contacts(_recording(recording), method, model)
+    return reconstruct_contacts(as_recording(recording), method, model)
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")
@@ -131,22 +125,6 @@ def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> 
     if remark := unit_remark(first.extents, second.extents):
         warnings.warn(remark, stacklevel=2)
     return compared
-
-
-@_described_by(calibrate_rig, "The recording may be given as the path of its file.")
-@in_one_thread
-def calibrate(
-    recording: Recording | _Path,
-    reference: float | Literal["plane"] | None = None,
-    *,
-    sphere: float | None = None,
-    tare: Tare = "auto",
-    pose_noise_m: float | None = None,
-    accuracy: float | Sequence[float] | None = None,
-) -> Calibration:
-    return calibrate_rig(
-        _recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m, accuracy=accuracy
-    )
 
 
 @_described_by(

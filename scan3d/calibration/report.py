@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,9 @@ from scan3d.calibration.fit import Fit, Sensor, calibrated, checked
 from scan3d.calibration.model import GAINS as GAIN
 from scan3d.calibration.model import MIXING, PLACE, SENSOR, SHAPE, TARE, TURN, Kind, Rig
 from scan3d.calibration.references import CHANCE, Plane, Sphere, six_channels, unloaded, weighed
+from scan3d.choices import Tare
 from scan3d.errors import InputError
+from scan3d.files.recordings import as_recording
 from scan3d.files.text import (
     Section,
     read_frame,
@@ -41,6 +44,7 @@ from scan3d.rigs import (
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.units import force, length, share
+from scan3d.workers import in_one_thread
 
 
 @dataclass(frozen=True, repr=False)
@@ -253,12 +257,13 @@ def _short(value: Any) -> str:
     return f"({text})" if np.ndim(value) else text
 
 
+@in_one_thread
 def calibrate(
-    recording: Recording,
+    recording: Recording | str | os.PathLike[str],
     reference: float | Literal["plane"] | None = None,
     *,
     sphere: float | None = None,
-    tare: str = "auto",
+    tare: Tare = "auto",
     pose_noise_m: float | None = None,
     accuracy: float | Sequence[float] | None = None,
 ) -> Calibration:
@@ -279,7 +284,9 @@ def calibrate(
 
     The recording has six axes, or three for a rod in a plane past a sphere, and the nominal rod; reactions are those of the
     sensor, neither tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.
+    The recording may be given as the path of its file.
     """
+    recording = as_recording(recording)
     if reference is not None and sphere is not None:
         raise InputError("give either a reference or the diameter of a sphere")
     map_frames, stated = _map_frames(recording), accuracy

@@ -9,6 +9,7 @@ poses likewise have the columns `POSE_COLUMNS`, and beside them the rod, the spe
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -159,6 +160,11 @@ def read_recording(path: str | Path) -> Recording:
         return completed(recording)[0] if missing else recording
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
+
+
+def as_recording(given: Recording | str | os.PathLike[str]) -> Recording:
+    """A recording, or that of a path."""
+    return read_recording(Path(given)) if isinstance(given, (str, os.PathLike)) else given
 
 
 def read_settings(path: str | Path) -> dict[str, Any]:
