@@ -101,25 +101,9 @@ class Settings:
         # imported here because `scan3d --help` needs the defaults only, and numpy would make it slow
         from scan3d.planning.plan import Plan
 
-        return Plan(
-            model=self.model,
-            slices=self.slices,
-            spacing=self.spacing,
-            axis=_axis(self.axis),
-            sweeps=_sweeps(self.sweeps),
-            samples=self.samples,
-            friction=_friction(self.friction),
-            clearance=self.clearance,
-            tolerance=self.tolerance,
-            rod=parse_rod(self.rod),
-            bead=self.bead,
-            probing=self.probing,
-            known=self.known,
-            stop_force=self.stop_force,
-            noise=self.noise,
-            seed=self.seed,
-            unit=self.unit,
-        )
+        read = {"axis": _axis(self.axis), "sweeps": _sweeps(self.sweeps), "friction": _friction(self.friction)}
+        same = {one.name: getattr(self, one.name) for one in fields(Plan) if hasattr(self, one.name)}
+        return Plan(**same | read | {"rod": parse_rod(self.rod)})
 
 
 class Given(TypedDict, total=False):
