@@ -208,16 +208,17 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
 
 def shapes(outlines: Outlines, rods: Rods, at: Array) -> End:
     """The rods at arc lengths (m, q)."""
-    m = len(rods.x0)
-    tau = outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(m, MOST)
-    across, along = _forces(tau, rods.force, rods.zeta)
-    marched = _march(rods.x0, rods.kappa, rods.s, across, along)
+    m, used = len(rods.x0), slice(max(int(rods.count.max(initial=0)), 1))
+    s = rods.s[:, used]
+    tau = outlines.at(rods.piece[:, used].ravel(), rods.u[:, used].ravel()).tau.reshape(s.shape)
+    across, along = _forces(tau, rods.force[:, used], rods.zeta[:, used])
+    marched = _march(rods.x0, rods.kappa, s, across, along)
     none = np.zeros((m, 1))
 
     def begins(first: Array, columns: Array) -> Array:
         return np.concatenate([first[:, None], columns], axis=1)
 
-    segment = (at[:, :, None] > rods.s[:, None, :]).sum(axis=2)
+    segment = (at[:, :, None] > s[:, None, :]).sum(axis=2)
     last = segment >= rods.count[:, None]
 
     def here(columns: Array) -> Array:
@@ -226,7 +227,7 @@ def shapes(outlines: Outlines, rods: Rods, at: Array) -> End:
     phi, kappa = here(begins(np.full(m, np.pi / 2), marched.phi)), here(begins(rods.kappa, marched.kappa))
     fx, fy = here(np.concatenate([across, none], axis=1)), here(np.concatenate([along, none], axis=1))
     straight = np.where(last, 0.0, 1.0)  # no moment past the last contact, not even a rounding one
-    end = piece(fx * straight, fy * straight, phi, kappa * straight, at - here(begins(np.zeros(m), rods.s)))
+    end = piece(fx * straight, fy * straight, phi, kappa * straight, at - here(begins(np.zeros(m), s)))
     x, y = here(begins(rods.x0, marched.x)) + end.x, here(begins(np.zeros(m), marched.y)) + end.y
     return End(x, y, end.phi, end.kappa)
 
