@@ -323,6 +323,8 @@ def first_bend(depth: Array, alpha: Array, s1: Array) -> Array:
 _FROZEN_STEPS = 2
 # Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
 _LARGEST_STRAIGHTENED = 3
+# Successive steps of Newton's method that do not halve the residual, after which a step fails: at folds they never do.
+_STALLED = 10
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
 # Steps of the flow of a snap at most.
@@ -452,6 +454,8 @@ class _States:
     """Place at which the equations are being solved."""
     step: Array
     """Largest step from place to place, in samples."""
+    halved: Mask
+    """Whether it was halved since the last place."""
     clear_after: Array
     """Place after which the straight rod has passed the body."""
 
@@ -485,6 +489,10 @@ class _States:
     """Steps of Newton's method that begin with the slip's direction frozen."""
     iterations: Index
     """Steps of Newton's method so far."""
+    least: Array
+    """Size of the residual that no later one was half of,"""
+    stalled: Index
+    """and steps of Newton's method since."""
     straightened: Index
     """Successive steps of Newton's method that would bend the rod the other way: it lifts off."""
 
@@ -505,9 +513,14 @@ class _States:
         for column in fields(self):
             setattr(self, column.name, getattr(self, column.name)[..., kept])
 
+    def begin(self, rows: Index) -> None:
+        """Begin to count the steps of Newton's method of these lanes."""
+        self.iterations[rows] = self.straightened[rows] = self.stalled[rows] = 0
+        self.least[rows] = np.inf
+
     def restart(self, rows: Index) -> None:
         """Begin the step of these lanes again, from the state before."""
-        self.iterations[rows] = self.straightened[rows] = 0
+        self.begin(rows)
         self.frozen[rows] = _FROZEN_STEPS
         self.trial_state[:, rows] = self.state[:, rows]
         self.trial_feature[rows], self.trial_coordinates[:, rows] = self.feature[rows], self.coordinates[:, rows]
@@ -554,6 +567,7 @@ class _Lanes:
             progress=touch.progress,
             target=touch.progress,
             step=np.full(count, self._longest),
+            halved=np.zeros(count, dtype=bool),
             clear_after=touch.clear_after,
             state=state,
             feature=touch.feature,
@@ -570,6 +584,8 @@ class _Lanes:
             branches=zeros(),
             frozen=np.full(count, _FROZEN_STEPS),
             iterations=zeros(),
+            least=np.full(count, np.inf),
+            stalled=zeros(),
             straightened=zeros(),
             effort=zeros(),
             drag=np.zeros(count),
@@ -615,7 +631,9 @@ class _Lanes:
         # in rod lengths and unit forces: rounding, which Newton's method reaches in one step from its root
         solved = (size < 1e-11) & (~frozen | (friction == 0))
         accepted = solved & self._valid(equations, friction, patch.point, step)
-        failed = solved | ~np.isfinite(size) | (lanes.iterations >= self._patience)
+        halves = size < lanes.least / 2
+        lanes.least, lanes.stalled = np.where(halves, size, lanes.least), np.where(halves, 0, lanes.stalled + 1)
+        failed = solved | ~np.isfinite(size) | (lanes.iterations >= self._patience) | (lanes.stalled >= _STALLED)
         failed = (failed | (lanes.straightened >= _LARGEST_STRAIGHTENED)) & ~accepted
         going = np.flatnonzero(~(accepted | failed))
         if len(going):
@@ -710,7 +728,7 @@ class _Lanes:
         lanes.last_step[rows] = np.where(flowing, 0.0, lanes.target[rows] - lanes.progress[rows])
         lanes.state[:, rows], lanes.feature[rows] = lanes.trial_state[:, rows], lanes.trial_feature[rows]
         lanes.coordinates[:, rows], lanes.point[:, rows] = lanes.trial_coordinates[:, rows], patch.point[:, rows]
-        lanes.iterations[rows] = lanes.straightened[rows] = 0
+        lanes.begin(rows)
         if flowing.any():
             self._flow(rows[flowing], equations)
             rows = rows[~flowing]
@@ -721,7 +739,9 @@ class _Lanes:
         sample = np.round(lanes.progress[rows]).astype(np.intp)
         reached = np.abs(lanes.progress[rows] - sample) < NEGLIGIBLE
         self._record(rows[reached], sample[reached], rod, patch, equations)
-        lanes.step[rows] = np.minimum(2 * lanes.step[rows], self._longest)
+        # a step that is as long as the one that failed would fail where branches of equilibria fold
+        longer = np.minimum(2 * lanes.step[rows], self._longest)
+        lanes.step[rows], lanes.halved[rows] = np.where(lanes.halved[rows], lanes.step[rows], longer), False
         lanes.target[rows] = self._next(lanes)[rows]
         lanes.mode[rows], lanes.branches[rows], lanes.frozen[rows] = Mode.SLIDE, 0, _FROZEN_STEPS
         self._predict(rows[(lanes.last_step[rows] > 0) & ~irregular])
@@ -774,7 +794,7 @@ class _Lanes:
         lanes.mode[flow] = Mode.EITHER
         lanes.flow_steps[flow] += 1
         halved = rows[~flowing & ~off]
-        lanes.step[halved] = (lanes.target[halved] - lanes.progress[halved]) / 2
+        lanes.step[halved], lanes.halved[halved] = (lanes.target[halved] - lanes.progress[halved]) / 2, True
         snaps = lanes.step[halved] < _SMALLEST
         self._snap(halved[snaps])
         lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
