@@ -111,11 +111,11 @@ def draw_slice(axes: Axes, log: scan3d.Recording, cloud: scan3d.Cloud) -> None:
         axes.plot(*travel.T, color="0.6", linewidth=0.8)
     points, normals = cloud.points[selected, :2], cloud.in_plane_normals[selected, :2]
     axes.plot(
-        *np.stack([points, points + NORMAL_MM * normals])[:, ::SHOWN].transpose(2, 0, 1), color="#D55E00", linewidth=0.8
+        *np.stack([points, points + NORMAL_MM * normals])[:, ::SHOWN].transpose(2, 0, 1), color="#b2182b", linewidth=0.8
     )
     tip = cloud.phase[selected] == planar.Phase.TIP
     axes.plot(*points[~tip].T, ".", color="black", ms=3, label="tangential")
-    axes.plot(*points[tip].T, ".", color="#0072B2", ms=3, label="tip")
+    axes.plot(*points[tip].T, ".", color="#d98200", ms=3, label="tip")
     axes.set(xlabel="x in mm", ylabel="y in mm", aspect="equal")
     axes.set_title("(a)", loc="left")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, handletextpad=0.1)

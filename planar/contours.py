@@ -587,7 +587,8 @@ class Circle(SmoothContour):
     center: tuple[float, float]
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.radius, *self.center]).all() and self.radius > 0):
+        numbers = np.ndim(self.radius) == 0 and np.shape(self.center) == (2,)
+        if not (numbers and np.isfinite([self.radius, *self.center]).all() and self.radius > 0):
             raise ValueError(f"a circle needs a positive radius and a finite center, got {self}")
 
     def loops(self) -> list[Loop]:

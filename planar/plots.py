@@ -79,8 +79,8 @@ def to_frame(columns: Mapping[str, Array | Sequence[str]]) -> pandas.DataFrame:
     )
 
 
-# Okabe and Ito's blue and vermilion, which colour-blind readers can distinguish
-TIP_COLOR, TANGENTIAL_COLOR = "#0072B2", "#D55E00"
+# which differ in lightness as well, for colour-blind readers
+TIP_COLOR, TANGENTIAL_COLOR = "#d98200", "#b2182b"
 
 _X0 = "$x_0\\;/\\;L$"
 _LABELS = {
@@ -145,9 +145,10 @@ def plot_points(point: Array, tip: Mask, tangential: Mask, axes: Axes | ArrayLik
     """Contact points (n, 2) in the plane, those at the tip hollow; the phases have two colours, unless `style` has one."""
     panel = _panels(1, axes)[0]
     color = style.pop("color", None)
-    for rows, own, face in ((tip, TIP_COLOR, "none"), (tangential, TANGENTIAL_COLOR, None)):
-        drawn = {"color": color or own, "markerfacecolor": face or color or own, "markersize": 3.5, **style}
-        panel.plot(*point[rows].T, "o", **drawn)
+    kinds = (("at the tip", tip, TIP_COLOR, "none"), ("tangential", tangential, TANGENTIAL_COLOR, None))
+    for label, rows, own, face in kinds:
+        drawn = {"color": color or own, "markerfacecolor": face or color or own, "markersize": 3.5, "label": label}
+        panel.plot(*point[rows].T, "o", **drawn | style)
     panel.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", aspect="equal")
     return panel
 

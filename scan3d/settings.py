@@ -101,6 +101,11 @@ class Settings:
         # imported here because `scan3d --help` needs the defaults only, and numpy would make it slow
         from scan3d.planning.plan import Plan
 
+        if self.method == "regression" and not self.noise:
+            raise InputError(
+                "the method regression weights the contacts by the noise of force and moment; state --noise, or use auto, "
+                "bracket or hull"
+            )
         read = {"axis": _axis(self.axis), "sweeps": _sweeps(self.sweeps), "friction": _friction(self.friction)}
         same = {one.name: getattr(self, one.name) for one in fields(Plan) if hasattr(self, one.name)}
         return Plan(**same | read | {"rod": parse_rod(self.rod)})

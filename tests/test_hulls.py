@@ -188,3 +188,16 @@ def test_half_spaces_through_one_corner_end():
     command = [sys.executable, "-c", CODE.format(DUAL.tolist())]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert abs(float(done.stdout)) < 1e-12
+
+
+def test_what_lies_deep_in_a_body_does_not_depend_on_faces_that_are_turned_over():
+    """As those of hulls with many vertices nearly in one plane are."""
+    ball = trimesh.creation.icosphere(3, radius=20.0)
+    faces = ball.faces.copy()
+    faces[::50] = faces[::50, ::-1]
+    turned = trimesh.Trimesh(ball.vertices, faces, process=False)
+    found, expected = (hulls.offset_inwards(body, 0.15) for body in (turned, ball))
+    np.testing.assert_allclose(found.vertices, expected.vertices)
+    assert expected.volume == pytest.approx(ball.volume * (1 - 0.15 / 20) ** 3, rel=1e-4)
+    thin = trimesh.creation.box((10, 10, 0.2))
+    assert hulls.offset_inwards(thin, 0.2) is None

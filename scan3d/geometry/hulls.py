@@ -494,12 +494,11 @@ def offset_inwards(body: Any, distance: float) -> Any:
     If the body is another one fattened by a ball of that radius, that is the other one; of a part of it, a part.
     """
     middle = body.bounds.mean(axis=0)
-    vertices, faces = body.vertices.view(np.ndarray) - middle, body.faces.view(np.ndarray)
+    vertices = body.vertices.view(np.ndarray) - middle
     size = float(np.abs(vertices).max())
-    spread = spanned(vertices[faces])
-    area = np.linalg.norm(spread, axis=1)
-    normals = spread[area > 0] / area[area > 0, None]
-    values = dot(normals, vertices[faces[area > 0, 0]]) - distance - ROUNDING * size
+    # slivers, and faces that are turned over where many are nearly in one plane, have other normals
+    planes = _planes(vertices)
+    normals, values = planes[:, :3], planes[:, 3] - distance - ROUNDING * size
     inside = vertices.mean(axis=0)
     if not (values - normals @ inside > NEGLIGIBLE * size).all():
         columns = np.column_stack([normals, np.ones(len(normals))])

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
+from planar.plots import TANGENTIAL_COLOR, TIP_COLOR
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.cloud import Cloud
@@ -180,7 +181,7 @@ def contact_sentence(scene: Scene, contact: int) -> str:
 
 # A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
 # with deficient colour vision can distinguish them.
-BODY, INK, ROD, TIP, TANGENTIAL = "#c3ccd6", "#222222", "#1b6ca8", "#d98200", "#b2182b"
+BODY, INK, ROD, TIP, TANGENTIAL = "#c3ccd6", "#222222", "#1b6ca8", TIP_COLOR, TANGENTIAL_COLOR
 # Tangential and tip contacts on a surface that is coloured from blue over white to red, from which black and yellow stand out.
 ON_DEVIATION = "#161616", "#ffd60a"
 # Reactions of the rod, the contacts of the sweep that is shown, and the curves of components along x, y and z.

@@ -345,7 +345,7 @@ def sweep_figure(found: SweepContacts) -> Any:
     figure = figures.blank_figure(6.0)
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, height_ratios=(3, 2))
-    replace(found.contacts, point=points).plot(axes=above)
+    replace(found.contacts, point=points).plot(axes=above).legend(frameon=False)
     below.plot(points[tangential, 0], friction[tangential], "o", color=parts.TANGENTIAL, markersize=3.5)
     # contacts at which the rod touched lightly do not determine the limits
     certain = found.touching & ~(found.errors.largest > 4 * np.median(found.errors.largest[found.touching]))

@@ -44,7 +44,8 @@ class Outcome:
             return "memory"
         if self.code not in (0, 1, 2):
             return f"exit code {self.code}"
-        said = re.sub(r"scan3d: \d[\w. ]*: [^\n]+\n", "", self.err)  # without the progress of a slow machine
+        # without the progress of a slow machine, and the question for the unit
+        said = re.sub(r"scan3d: (\d[\w. ]*: |the body measures )[^\n]+\n", "", self.err)
         if self.code and not (said.startswith("scan3d: ") and said.count("\n") == 1):
             return "no sentence"
         if self.code and not said[:-1].isprintable():
