@@ -45,7 +45,7 @@ class SweepStatus(Explained):
     UNRESOLVED = (
         3,
         "no equilibrium of the rod was found here, so that nothing is known of its contacts: it is caught, "
-        "stands like a strut, or has more than three contacts",
+        "stands like a strut, or has more contacts than are followed: three, or one of a rod that is not straight",
     )
 
 

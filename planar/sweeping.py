@@ -24,9 +24,10 @@ from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
-from planar.rods import Rod
+from planar.rods import Rod, shapes
 from planar.segments import UNIFORM, Equilibria, Segments, Tables, cut_intervals
 from planar.several import Rods, reactions
+from planar.singles import INSIDE
 
 if TYPE_CHECKING:
     import pandas
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 # How far past touch-down the first sample of a sweep along any body lies, in rod lengths.
 _TOUCHED = 1e-6
+# Places of a rod that is not straight that are held against the contour, before its contact and past it.
+_ALONG = 33
 
 
 class Phase(IntEnum):
@@ -167,7 +170,8 @@ def sweep(
         sweep (with several coefficients: the end for the lowest of them); by default 200 of them, or one for each friction.
     rod
         None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
-        States whose moment changes its sign between clamp and contact are left out.  Convex contours only.
+        States whose moment changes its sign between clamp and contact are left out, and those in which it would lie in the
+        contour beside its contact are unresolved.  Convex contours only.
 
     On a contour that is not convex the rod is followed from sample to sample with all of its contacts (``any_body``); the
     sweep begins where the straight rod first touches, whatever the first base position is.  `status` has a sentence for each
@@ -246,7 +250,29 @@ def sweep_all(
         columns = [frictions[i] for i in members], [bases[i] for i in members]
         of = UNIFORM if rod is None or rod.is_straight_and_uniform else AnyRod(rod.rows(np.array(members)))
         sweeps.update(zip(members, _sweep_path(path, *columns, spread, of), strict=True))
-    return [sweeps[i] for i in range(len(contours))]
+    found = [sweeps[i] for i in range(len(contours))]
+    return _outside(found, contours, rod) if rod is not None and (rod.curvature or rod.weight) else found
+
+
+def _outside(sweeps: list[Sweep], contours: Sequence[Contour], rod: Rod) -> list[Sweep]:
+    """The sweeps without the samples in which a rod that is curved or hangs would lie in the contour beside its contact."""
+    outlines = Outlines([contour.loops() for contour in contours])
+    for i, swept in enumerate(sweeps):
+        samples = np.flatnonzero(swept.phase != Phase.NONE)
+        x0, f0x, f0y, m0z = (column[samples] for column in swept.reactions)
+        like = rod.rows(np.full(len(samples), i))
+        with np.errstate(all="ignore"):
+            lines = shapes(like, -np.stack([f0x, f0y]) - like.pull, -m0z, np.minimum(swept.s1[samples], 1.0), _ALONG)
+        places = np.concatenate(lines, axis=1) + np.stack([x0, np.zeros(len(x0))])[:, None]
+        body = np.full(places[0].size, i)
+        gap = outlines.nearest(body, places.reshape(2, -1).T, 0.0).gap.reshape(places[0].shape)
+        through = samples[(gap < -INSIDE).any(axis=0)]
+        if len(through):
+            _clear(swept, through)
+            states = swept.status
+            states[through] = SweepStatus.UNRESOLVED
+            sweeps[i] = SweepOfAnyBody(**vars(swept), states=states, records=swept.contacts)
+    return sweeps
 
 
 def _checked_spread(samples: int | None, shares: ArrayLike | None) -> Array:

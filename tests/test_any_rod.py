@@ -203,7 +203,7 @@ def test_sweeps_are_reconstructed(contour, rod, direction):
 def test_sweeps_touch_from_touch_down_to_their_end(rod):
     polygons = [HEXAGON, planar.Polygon(HEXAGON.vertices * [0.4, 0.8])]
     for swept in planar.sweep_all([*CONTOURS[:2], *polygons], [0.0, 0.3, 0.3, 0.0], samples=20, rod=rod):
-        assert (swept.phase != Phase.NONE).all()
+        assert (swept.status != planar.SweepStatus.FREE).all()
 
 
 @pytest.mark.slow
@@ -332,3 +332,27 @@ def test_rows_may_have_a_gravity_each():
     ):
         with pytest.raises(ValueError, match=words):
             call()
+
+
+@pytest.mark.parametrize("curvature", [-1.0, 0.3, 1.0])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_no_rod_lies_in_the_contour(curvature, direction):
+    """A rod that curves towards a side touches it at a second place; such samples are unresolved."""
+    square = [(-0.3, 0.5), (0.3, 0.5), (0.3, 1.1), (-0.3, 1.1)]
+
+    def in_square(x, y):
+        return np.minimum(0.3 - np.abs(x), np.minimum(y - 0.5, 1.1 - y))
+
+    def in_ellipse(x, y):
+        return 0.1 * (1 - np.hypot(x / 0.1, (y - 0.9) / 0.5))
+
+    rod, unresolved = planar.Rod(curvature=curvature, tip_diameter=0.8), 0
+    for contour, depth in ((planar.Polygon(square), in_square), (planar.Ellipse((0.1, 0.5), (0, 0.9)), in_ellipse)):
+        swept = planar.sweep(contour, 0.2, samples=80, rod=rod, direction=direction)
+        lines = planar.elastic_lines(*swept.reactions, rod=rod)
+        places = np.concatenate([lines.curved, lines.straight], axis=1)[swept.phase != planar.Phase.NONE]
+        assert depth(*places.transpose(2, 0, 1)).max() < 1e-6
+        assert (swept.status[swept.phase == planar.Phase.NONE] != planar.SweepStatus.ONE_CONTACT).all()
+        unresolved += int((swept.status == planar.SweepStatus.UNRESOLVED).sum())
+        assert len(swept.contacts) == len(swept)
+    assert (unresolved > 0) == (curvature * direction < 0)

@@ -563,7 +563,9 @@ def recording_of(scans: list[AxisScan], rod: Rod) -> Recording:
         added = np.nan_to_num(wrench - in_air)
         added[np.hypot(*added.T[:2]) <= planar.TOLERANCE] = 0.0  # at touch-down the difference is rounding
         wrench = added + (0.0 if plan.gravity.tared else in_air)
-    source = {} if scans[0].convex else {"convex": False, "unresolved": int((~known).sum())}
+    unresolved = int((~known).sum())
+    source = {"unresolved": unresolved} if unresolved or not scans[0].convex else {}
+    source |= {} if scans[0].convex else {"convex": False}
     return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source)
 
 
