@@ -558,12 +558,15 @@ class Events:
         return np.asarray(self.x0[self.kind == kind])
 
 
-def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> Events:
+def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod: Rod | None = None) -> Events:
     """Events of the sweep of a rod along a convex contour with constant friction.
 
-    In tip contact on a polygon the rod snaps around every corner; these snaps are small where the polygon is fine.
-    Raises ValueError as `planar.sweep` does.
+    In tip contact on a polygon the rod snaps around every corner; these snaps are small where the polygon is fine.  The `rod`
+    is by default the uniform one; a curved or heavy one may touch at a second place, which no event tells.  Raises ValueError
+    for such a rod, and as `planar.sweep` does.
     """
+    if rod is not None and (rod.curvature or rod.weight):
+        raise ValueError("events are those of rods that are straight at rest and weightless, tapered or not")
     if np.ndim(friction) or not (np.isfinite(friction) and friction >= 0):
         raise ValueError(f"friction must be one number >= 0, got {friction}")
     check_direction(direction)
@@ -572,7 +575,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     contour = contour if side == 1 else mirrored(contour)
     path = contour.path()
     pieces = np.arange(path.offsets[-1])
-    table = segments.cut(path, np.zeros_like(pieces), pieces, np.full(len(pieces), np.arctan(friction)))
+    of = UNIFORM if rod is None or rod.is_straight_and_uniform else AnyRod(rod)
+    table = segments.cut(path, np.zeros_like(pieces), pieces, np.full(len(pieces), np.arctan(friction)), of)
 
     # rows on which x0 falls below all of its values before; a snap skips the others
     end = np.nan_to_num(table.x0[:, 1], nan=np.inf)
@@ -589,8 +593,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     left, entered, kind = left[happens], entered[happens], kind[happens]
 
     x0 = np.concatenate([table.x0[:1, 0], table.x0[left, 1], table.x0[rows[-1:], 1]])
-    before = _states(path, table, np.append(left, rows[-1]), x0[1:])
-    after = _states(path, table, np.insert(entered, 0, rows[0]), x0[:-1])
+    before = _states(path, table, np.append(left, rows[-1]), x0[1:], of)
+    after = _states(path, table, np.insert(entered, 0, rows[0]), x0[:-1], of)
     # without contact there is no place, no force and no moment: before touch-down and after the rod has left
     slope, x, y = map(_paired, before[:3], after[:3], [np.nan] * 3)
     force, m0z = map(_paired, before[3:], after[3:], [0.0] * 2)
@@ -604,9 +608,9 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     )
 
 
-def _states(path: Path, table: segments.Segments, row: Index, x0: Array) -> list[Array]:
+def _states(path: Path, table: Segments, row: Index, x0: Array, rod: Equilibria) -> list[Array]:
     """Slope, x, y, force and moment (n,) of contacts in a sweep in -x."""
-    piece, t, state = UNIFORM.solve(path, table.rows(row), x0)
+    piece, t, state = rod.solve(path, table.rows(row), x0)
     return [*path.at(piece, t), state.force, state.m0z]
 
 

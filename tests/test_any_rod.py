@@ -356,3 +356,20 @@ def test_no_rod_lies_in_the_contour(curvature, direction):
         unresolved += int((swept.status == planar.SweepStatus.UNRESOLVED).sum())
         assert len(swept.contacts) == len(swept)
     assert (unresolved > 0) == (curvature * direction < 0)
+
+
+@pytest.mark.parametrize("rod", [Rod(tip_diameter=0.6), STEPPED, Rod(compliance=0.05)])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_events_are_where_sweeps_change(rod, direction):
+    for contour in CONTOURS:
+        found = planar.events(contour, 0.2, rod=rod, direction=direction)
+        swept = planar.sweep(contour, 0.2, rod=rod, direction=direction, samples=2000)
+        assert [found.x0[0], found.x0[-1]] == pytest.approx([swept.x0[0], swept.x0[-1]], abs=1e-9)
+        last = np.flatnonzero(np.diff(swept.phase))
+        for at in direction * np.array([swept.x0[last], swept.x0[last + 1]]).T:
+            assert ((at[0] - 1e-9 <= direction * found.x0) & (direction * found.x0 <= at[1] + 1e-9)).any()
+        kinds = [planar.EventKind.TO_TIP, planar.EventKind.TO_TANGENTIAL]
+        assert len(last) >= np.isin(found.kind, kinds).sum()
+        np.testing.assert_allclose(found.m0z[0, 1], 0.0, atol=1e-9)
+    with pytest.raises(ValueError, match="straight at rest and weightless"):
+        planar.events(CIRCLE, rod=Rod(curvature=0.1))
