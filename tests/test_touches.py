@@ -182,7 +182,7 @@ def test_tables_of_other_programs(text, expected, tmp_path):
         assert found.columns[name] == pytest.approx(np.array(values, dtype=float))
 
 
-def test_a_table_above_touches_is_wrong(tmp_path):
+def test_tables_and_points_that_can_not_be_are_told(tmp_path):
     normals = scan3d.load_mesh("meshes/egg.stl").face_normals[::40]
     for table, message in (
         (-10.0, None),
@@ -193,6 +193,11 @@ def test_a_table_above_touches_is_wrong(tmp_path):
         assert [message in found.message for found in contradictions(cloud)] == [True] * (message is not None)
     with pytest.raises(scan3d.InputError, match="the height of the table must be a number"):
         scan3d.touches(10 * normals, normals, table=np.nan)
+    (tmp_path / "points.csv").mkdir()
+    with pytest.raises(scan3d.InputError, match=r"points.csv is a folder; give touches as a \.csv"):
+        scan3d.touches(tmp_path / "points.csv")
+    with pytest.raises(scan3d.InputError, match="the points hold 1e"):
+        scan3d.touches([[0, 0, 1e300], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
 
 
 def test_clouds_of_several_rods_are_one(tmp_path):

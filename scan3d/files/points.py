@@ -63,7 +63,8 @@ def read_points(path: str | Path) -> Points:
     if ending not in ENDINGS:
         raise InputError(f"can't read touches from {path.name}: expected a file ending in {one_of(ENDINGS)}")
     if not path.is_file():
-        raise InputError(f"there is no file {path}; give touches as a {one_of(ENDINGS)}")
+        what = f"{path} is a folder" if path.is_dir() else f"there is no file {path}"
+        raise InputError(f"{what}; give touches as a {one_of(ENDINGS)}")
     comments: tuple[str, ...] = ()
     if ending == ".ply":
         rows, _, comments = read_ply(path)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import planar
-from scan3d.arrays import AT_ONCE, Array
+from scan3d.arrays import AT_ONCE, LARGEST, Array
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError, UsageError
 from scan3d.geometry.distance import nearest
@@ -68,6 +68,8 @@ def touches(
     points = _columns(points, 3, "points")
     if not np.isfinite(points).all():
         raise InputError(f"{int((~np.isfinite(points)).any(axis=1).sum())} points are not finite; leave them out")
+    if len(points) and (largest := float(np.abs(points).max())) > LARGEST:
+        raise InputError(f"the points hold {largest:.3g}, which is no length of a body; leave such points out")
     count, size = len(points), float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     if covariance is not None:
         covariance = np.array(covariance, dtype=np.float64)
