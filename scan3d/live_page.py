@@ -103,7 +103,7 @@ def _rod(live: Live) -> Array:
     assert row is not None
     base = row.position_m[0]
     line = np.stack([base, base + row.rod.length_m * row.axes()[0, 1]])
-    if live.state == "touching":
+    if live.state != "air":  # of a row whose place is unknown as well, its reactions tell how the rod bends
         curved, rest = parts.bent_rods(row, np.zeros(1, dtype=np.int64), live.model == "spatial")
         bent = np.concatenate([curved[0], rest[0, 1:]])
         line = bent if np.isfinite(bent).all() else line  # a row that came in between touches nothing
