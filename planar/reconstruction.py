@@ -474,6 +474,9 @@ class ElasticLines(NamedTuple):
     """(n, 2, 2) ends of the straight part beyond the contact; they coincide in tip contact.  Of rods with curvature or weight
     (n, points, 2) the part beyond the contact, which is not straight."""
 
+    def __repr__(self) -> str:
+        return f"ElasticLines of {len(self.curved)} rods, with {self.curved.shape[1]} points up to the contact of each"
+
     def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
         """The rods, those in tip contact in blue, the others in red up to the contact and in black beyond it.
 
