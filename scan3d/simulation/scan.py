@@ -67,7 +67,7 @@ from scan3d.simulation.felt import (
 from scan3d.simulation.probing import probe
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.march import free_reactions
-from scan3d.spatial.sweeping import Sweeps, passages, sweep
+from scan3d.spatial.sweeping import End, Sweeps, passages, sweep
 from scan3d.units import UNITS_M, length
 from scan3d.workers import check_memory, counted, shared, tell
 
@@ -644,19 +644,21 @@ def _sweep_in_space(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: i
     keys = [[plan.seed, 3, number, int(row)] for row in rows]
     friction = np.array([drawn_friction(plan.friction_range, samples, key) for key in keys])
     axes = lines.axes[rows]
-    result = sweep(body, position, axes, friction, effort=400, nearest=_NEAREST)
+    result = sweep(body, position, axes, friction, effort=400, nearest=_NEAREST, snaps=False)
     return [_SpatialSweeps(position, axes, result)]
 
 
 def _recording_in_space(swept: list[_SpatialSweeps], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:
-    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact."""
+    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact if it is known."""
     number, position, wrench, sweeps = [], [], [], 0
     for part in swept:
         too_near = np.maximum.accumulate(part.result.s1 < _NEAREST, axis=1)
         touching = np.isfinite(part.result.s1) & ~too_near
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)
-        kept = (np.arange(n) <= last[:, None]) & ~too_near
+        # of a rod that was not followed on nothing is known
+        ends = last + ~np.isin(part.result.end, (End.LOST, End.SNAP))
+        kept = (np.arange(n) < ends[:, None]) & ~too_near
         number.append(sweeps + np.nonzero(kept)[0])
         sweeps += len(touching)
         position.append(part.position[kept] * length + middle)

@@ -324,7 +324,7 @@ _FROZEN_STEPS = 2
 # Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
 _LARGEST_STRAIGHTENED = 3
 # Successive steps of Newton's method that do not halve the residual, after which a step fails: at folds they never do.
-_STALLED = 10
+_STALLED = 16
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
 # Steps of the flow of a snap at most.
@@ -344,6 +344,8 @@ class End(IntEnum):
     """The computation found no equilibrium, and no way to one."""
     NEAR = 4
     """Where the contact came too near to the clamp."""
+    SNAP = 5
+    """Where the rod snaps, if that is not followed."""
 
 
 @dataclass(frozen=True)
@@ -386,6 +388,7 @@ def sweep(
     substeps: int = 1,
     effort: int = 800,
     nearest: float = 0.0,
+    snaps: bool = True,
 ) -> Sweeps:
     """Sweeps of a round rod of length 1 past a convex body.
 
@@ -402,12 +405,15 @@ def sweep(
         steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
     nearest
         arc length of the contact below which a sweep ends (`End.NEAR`), since the clamp would soon hit the body.
+    snaps
+        whether sweeps are followed past snaps; else they end there (`End.SNAP`).  To which of several equilibria a rod snaps
+        may hang on rounding, as where it lies in a plane of symmetry.
 
     A rod that has lost contact touches again where its path leads it back.  Raises ValueError for paths that begin in the body.
     """
     place, mu = np.asarray(position, dtype=float), np.asarray(friction, dtype=float)
     mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, place.shape[:2])
-    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort, nearest)
+    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort, nearest, snaps)
     touch = first_touches(body, lanes.paths)
     while len(touch.number):
         touch = later_touches(body, lanes.paths, *lanes.run(touch))
@@ -529,10 +535,12 @@ class _States:
 class _Lanes:
     """Sweeps past `body` on `paths` with coefficients of friction (m, n), in steps of one sample over `substeps`."""
 
-    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int, nearest: float) -> None:
+    def __init__(
+        self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int, nearest: float, snaps: bool
+    ) -> None:
         self.body, self.paths, self.friction = body, paths, friction
         self.results = _untouched(*friction.shape)
-        self._longest, self._effort, self._nearest = 1.0 / substeps, effort, nearest
+        self._longest, self._effort, self._nearest, self._snaps = 1.0 / substeps, effort, nearest, snaps
         self._last = paths.samples - 1
         # steps of Newton's method before a step fails: on a polyhedron each ends at the border of a face, an edge or a vertex
         self._patience = 9 if body.smooth else 25
@@ -800,6 +808,8 @@ class _Lanes:
         lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
         self._restart(rows)
         self._leave(rows[off])
+        if not self._snaps:
+            self._finish(halved[snaps], End.SNAP)
         # eight failures in succession lead beyond this drag
         self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > 1e4)], End.LOST)
 
