@@ -136,7 +136,7 @@ def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
 def test_contacts_in_space_are_fitted_as_well():
     mesh = trimesh.creation.box((30, 40, 50))
     recording = scan3d.simulate(
-        mesh, scan3d.Plan(slices=6, sweeps=1, samples=20, friction=0.2, model="spatial", noise=1e-3)
+        mesh, scan3d.Plan(slices=6, sweeps=1, samples=40, friction=0.2, model="spatial", noise=1e-3)
     )
     cloud = scan3d.reconstruct(recording)
     found = surface(cloud)
