@@ -138,8 +138,9 @@ def test_invalid_polygons_are_refused(vertices, message):
 
 
 def test_invalid_smooth_contours_are_refused():
-    with pytest.raises(ValueError, match="positive radius"):
-        planar.Circle(0.0, (0, 1))
+    for radius, center in ((0.0, (0, 1)), ((0, 1), 0.3)):
+        with pytest.raises(ValueError, match="positive radius"):
+            planar.Circle(radius, center)
 
 
 @pytest.mark.parametrize("lowest", [0.0, -0.1, -1e-12])

@@ -242,3 +242,10 @@ def test_text_that_names_no_rod_is_refused_with_an_example(text):
     with pytest.raises(InputError, match=r"steel:0\.3x50.*nitinol") as error:
         parse_rod(text)
     assert repr(text) in str(error.value)
+
+
+def test_a_regression_without_noise_is_refused_before_the_scan(tmp_path):
+    with pytest.raises(
+        scan3d.errors.UsageError, match=r"regression weights the contacts by the noise .*; state --noise"
+    ):
+        scan3d.scan(tmp_path / "never_read.stl", method="regression")

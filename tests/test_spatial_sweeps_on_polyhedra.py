@@ -71,3 +71,27 @@ def test_strokes_on_a_flat_face_that_press_and_lift():
     assert (touching.sum(axis=1) > 30).all()
     assert not touching[:, [0, -1]].any()
     assert np.abs(result.point[touching][:, 2] - 0.0025).max() < 1e-9
+
+
+def test_sweeps_that_are_not_followed_past_snaps_end_there():
+    """Up to there they are the same, to the last bit."""
+    mesh = trimesh.creation.box(np.full(3, 1 / np.sqrt(3)))
+    body = RoundedPolyhedron(mesh.vertices, mesh.faces, 0.003)
+    axes = Rotation.random(60, random_state=2).as_matrix()
+    x, y, _ = axes.swapaxes(0, 1)
+    start = x - 0.75 * y
+    passage = passages(body, start.T, y.T, -x.T)
+    rows = passage.touches
+    travel = passage.begin[rows, None] - 1e-6 + (passage.end - passage.begin)[rows, None] * np.linspace(0, 1.02, 40)
+    position = start[rows][:, None] - travel[:, :, None] * x[rows][:, None]
+    followed, ended = (sweep(body, position, axes[rows], 0.3, snaps=snaps) for snaps in (True, False))
+    snapped = ended.end == End.SNAP
+    assert snapped.sum() > 5
+    known = np.isfinite(ended.s1)
+    np.testing.assert_array_equal(followed.force[known], ended.force[known])
+    assert not ended.snapped.any()
+    # nothing is known after the last place, from which on the other sweeps have snapped, left the body or been given up
+    after = np.minimum(known.sum(axis=1) + np.argmax(known, axis=1), 39)[snapped]
+    later = followed.s1[snapped, after]
+    assert (np.isnan(later) | followed.snapped[snapped, after]).all()
+    np.testing.assert_array_equal(followed.end[~snapped], ended.end[~snapped])
