@@ -27,7 +27,7 @@ from planar import plots
 from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
-from planar.rods import METHODS, Rod, shapes, solve
+from planar.rods import METHODS, Rod, Solved, shapes, solve
 from planar.sweeping import Phase
 
 if TYPE_CHECKING:
@@ -117,6 +117,12 @@ class Contacts(Shown):
         for name, value in none.items():
             columns[name][rows] = value
         return replace(self, **columns)
+
+    def within(self, tolerance: ArrayLike, friction: ArrayLike | None = None, *, direction: int = -1) -> Contacts:
+        """These contacts with a smaller tolerance than that with which they were found, or with friction, as `reconstruct` has
+        them of the same reactions by the closed form."""
+        zeta = None if friction is None else np.arctan(friction)
+        return _within(self, np.asarray(tolerance, dtype=float), zeta, -direction)
 
     def __len__(self) -> int:
         return len(self.s1)
@@ -240,68 +246,72 @@ def reconstruct(
         rows = slice(first, first + BLOCK)
         block = Reactions(*(column[rows] for column in reactions))
         angle = zeta[rows] if zeta is not None and zeta.ndim else zeta
-        parts.append(_of_block(block, method, rod.rows(rows), angle, zero[rows] if zero.ndim else zero, -direction))
+        # a sweep in +x is the mirror image of a sweep in -x
+        here = rod.rows(rows) if direction < 0 else rod.rows(rows).mirrored()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            solved = solve(method, here, -direction * block.f0x, block.f0y, -direction * block.m0z)
+        every = _of_solved(block, solved, -direction)
+        # (10) errs in s1, so that nothing follows from its s1 < 1
+        parts.append(_within(every, zero[rows] if zero.ndim else zero, angle, -direction, pulled=method != "will"))
     columns = ([getattr(part, column.name) for part in parts] for column in fields(Contacts))
-    return Contacts(*map(np.concatenate, columns))
+    return parts[0] if len(parts) == 1 else Contacts(*map(np.concatenate, columns))
 
 
-def _of_block(reactions: Reactions, method: str, rod: Rod, zeta: Array | None, tolerance: Array, side: int) -> Contacts:
-    """`reconstruct` of so many rows as the processor's cache holds; `side` is 1 for sweeps in -x, -1 in +x."""
-    x0, f0x, f0y, m0z = reactions
-    # a sweep in +x is the mirror image of a sweep in -x
-    if side < 0:
-        f0x, m0z, rod = -f0x, -m0z, rod.mirrored()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        solved = solve(method, rod, f0x, f0y, m0z)
-        beta = solved.beta
-        x = x0 + solved.x if side > 0 else x0 - solved.x
-
-        tangential = solved.s1 < 1 - tolerance
-        pulled = beta < -tolerance
-        pulled &= tangential
-        if method == "will":
-            pulled[:] = False  # (10) errs in s1, so that nothing follows from its s1 < 1
-        beyond = solved.s1 > 1 + tolerance
-        valid = np.isfinite(solved.s1) & np.isfinite(x)
-        for refused in (beyond, solved.wrong_side, solved.no_rod, pulled, solved.undefined):
-            valid &= ~refused
-    tangential &= valid
-    tip = valid & ~tangential
-    slope = solved.alpha - beta
-    if zeta is not None:
-        np.copyto(slope, solved.alpha - zeta, where=tip)
-    else:
-        slope[tip] = np.nan
-
-    contacts = Contacts(
+def _of_solved(reactions: Reactions, solved: Solved, side: int) -> Contacts:
+    """What no tolerance decides of contacts; `side` is 1 for sweeps in -x, -1 in +x."""
+    with np.errstate(invalid="ignore"):
+        x = reactions.x0 + side * solved.x
+        present = (solved.force > 0) & np.isfinite(reactions.x0 + solved.force + reactions.m0z)
+        valid = np.isfinite(solved.s1 + x)
+    status = np.full(len(x), Status.OK, dtype=np.int8)
+    # where several reasons apply, the last one counts
+    reasons = (
+        (Status.UNDEFINED, solved.undefined),
+        (Status.NO_ROD, solved.no_rod),
+        (Status.WRONG_SIDE, solved.wrong_side),
+    )
+    for reason, rows in reasons:
+        status[rows] = reason
+        valid &= ~rows
+    status[~present & ~valid] = Status.NO_FORCE
+    return Contacts(
         point=np.stack([x, solved.y], axis=1),
         s1=solved.s1,
-        phase=(Phase.TANGENTIAL * tangential + Phase.TIP * tip).astype(np.int8),
-        status=np.full(len(x), Status.OK, dtype=np.int8),
-        force=solved.force.copy(),
+        phase=np.where(valid, Phase.TIP, Phase.NONE).astype(np.int8),
+        status=status,
+        force=solved.force,
         force_angle=solved.alpha * side,
-        friction_angle_bound=beta,
-        slope=slope * side,
-        normal_source=(NormalSource.TANGENTIAL * tangential).astype(np.int8),
+        friction_angle_bound=solved.beta,
+        slope=np.full(len(x), np.nan),
+        normal_source=np.full(len(x), NormalSource.NONE, dtype=np.int8),
     )
+
+
+def _within(found: Contacts, tolerance: Array, zeta: Array | None, side: int, *, pulled: bool = True) -> Contacts:
+    """The contacts by a tolerance and by friction angles, if they are known."""
+    s1, beta, valid, status = found.s1, found.friction_angle_bound, found.phase != Phase.NONE, found.status.copy()
+    with np.errstate(invalid="ignore"):
+        tangential, beyond = valid & (s1 < 1 - tolerance), valid & (s1 > 1 + tolerance)
+        inflected = tangential & (beta < -tolerance) & pulled
+    status[inflected], status[beyond] = Status.INFLECTION, Status.BEYOND_TIP
+    tangential &= ~inflected
+    tip = valid & ~(tangential | inflected | beyond)
+    slope = found.force_angle - side * beta
     if zeta is not None:
-        contacts.normal_source[tip] = NormalSource.FRICTION
-    if not valid.all():
-        present = (solved.force > 0) & np.isfinite(x0 + solved.force + m0z)
-        # where several reasons apply, the last one counts
-        reasons = [
-            (Status.UNDEFINED, solved.undefined),
-            (Status.INFLECTION, pulled),
-            (Status.BEYOND_TIP, beyond),
-            (Status.NO_ROD, solved.no_rod),
-            (Status.WRONG_SIDE, solved.wrong_side),
-            (Status.NO_FORCE, ~present),
-        ]
-        for status, rows in reasons:
-            contacts.status[rows & ~valid] = status
-        for name in _VALUES:
-            getattr(contacts, name)[~valid] = np.nan
-    return contacts
+        np.copyto(slope, found.force_angle - side * zeta, where=tip)
+    else:
+        slope[tip] = np.nan
+    source = (NormalSource.TANGENTIAL * tangential).astype(np.int8)
+    if zeta is not None:
+        source[tip] = NormalSource.FRICTION
+    phase = (Phase.TANGENTIAL * tangential + Phase.TIP * tip).astype(np.int8)
+    values = dict(zip(_VALUES, (found.point, s1, found.force, found.force_angle, beta, slope), strict=True))
+    none = phase == Phase.NONE
+    if none.any():
+        for name, column in values.items():
+            values[name] = column.copy()
+            values[name][none] = np.nan
+    return Contacts(phase=phase, status=status, normal_source=source, **values)
 
 
 DIFFERENCE = 3e-4
@@ -319,21 +329,27 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
     Raises ValueError for arrays of different lengths and for another direction than -1 or 1.
     """
     check_direction(direction)
-    _, across, along, moment = checked_reactions(np.zeros_like(np.asarray(f0x, dtype=float)), f0x, f0y, m0z)
+    columns = checked_reactions(np.zeros_like(np.asarray(f0x, dtype=float)), f0x, f0y, m0z)
+    return _solved_with_slopes(columns, direction, Rod() if rod is None else rod)[1]
+
+
+def _solved_with_slopes(reactions: Reactions, direction: int, rod: Rod) -> tuple[Solved | None, Array]:
+    """`jacobian`, and the contacts in sweeps in -x if they came with it."""
+    _, across, along, moment = reactions
     side = -direction
     # a sweep in +x is the mirror image of a sweep in -x
     across, moment = side * across, side * moment
-    rod = Rod() if rod is None else rod
+    solved = None
     if rod.is_straight_and_uniform:
-        result = _of_closed_form(across, along, moment)
+        slopes = _of_closed_form(across, along, moment)
     else:
-        result = _by_differences(rod if side > 0 else rod.mirrored(), across, along, moment)
+        solved, slopes = _by_differences(rod if side > 0 else rod.mirrored(), across, along, moment)
     if side < 0:
         # x and α are odd under the reflection; so are f0x and m0z
-        result[:, [0, 3], :] *= -1
-        result[:, :, [0, 2]] *= -1
-    result[~np.isfinite(result).all(axis=(1, 2))] = np.nan
-    return result
+        slopes[:, [0, 3], :] *= -1
+        slopes[:, :, [0, 2]] *= -1
+    slopes[~np.isfinite(slopes).all(axis=(1, 2))] = np.nan
+    return solved, slopes
 
 
 def _of_closed_form(across: Array, along: Array, moment: Array) -> Array:
@@ -369,19 +385,20 @@ def _of_closed_form(across: Array, along: Array, moment: Array) -> Array:
     return np.stack(rows, axis=1)
 
 
-def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Array:
-    """`jacobian` of any rod, by central differences of its contacts."""
-    reactions = np.stack([across, along, moment])
+def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> tuple[Solved, Array]:
+    """The contacts of any rod, and `jacobian` by central differences of them: all in one march."""
+    reactions, n = np.stack([across, along, moment]), len(moment)
     force = np.hypot(*(reactions[:2] + rod.pull))
     change = DIFFERENCE * np.stack([force, force, np.abs(moment)])
-    moved = np.tile(reactions[:, None, None], (1, 2, 3, 1))  # of each reaction down and up
+    moved = np.tile(reactions[:, None], (1, 7, 1))  # as they are, and each of them down and up
     for k in range(3):
-        moved[k, :, k] += [-change[k], change[k]]
-    everywhere = rod.rows(np.tile(np.arange(len(moment)), 6))
+        moved[k, [1 + k, 4 + k]] += [-change[k], change[k]]
+    everywhere = rod.rows(np.tile(np.arange(n), 7))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = solve("closed-form", everywhere, *moved.reshape(3, -1), within=DIFFERENCE**2)
-        values = np.stack([found.x, found.y, found.s1, found.alpha, found.beta]).reshape(5, 2, 3, -1)
-        return np.asarray((values[:, 1] - values[:, 0]) / (2 * change)).transpose(2, 0, 1)
+        found = solve("closed-form", everywhere, *moved.reshape(3, -1))
+        values = np.stack([found.x, found.y, found.s1, found.alpha, found.beta])[:, n:].reshape(5, 2, 3, n)
+        slopes = np.asarray((values[:, 1] - values[:, 0]) / (2 * change)).transpose(2, 0, 1)
+    return Solved._make(column[:n] for column in found), slopes
 
 
 class Errors(NamedTuple):
@@ -412,6 +429,7 @@ def errors(
     known_sd: float = 0.0,
     tip: ArrayLike = False,
     covariance: Array | None = None,
+    slopes: Array | None = None,
 ) -> Errors:
     """Errors of the contacts that `planar.reconstruct` finds for reactions (n,), by the noise of force and moment.
 
@@ -422,15 +440,17 @@ def errors(
         'slope', with the standard deviation `known_sd` of that angle in radians; `tip` (n,) are the contacts at the tip.
     covariance
         (n, 3, 3) that of the reactions in each row, in the place of `noise`.
+    slopes
+        (n, 5, 3) the `jacobian`, if it is known already.
     direction, rod
         as in `jacobian`.
     """
     if covariance is None and not max(*noise, known_sd):
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
-    spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod)
+    spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) if slopes is None else slopes
     if covariance is None:
-        spread *= [noise[0], noise[0], noise[1]]
+        spread = spread * [noise[0], noise[0], noise[1]]
     else:
         sizes, vectors = np.linalg.eigh(np.nan_to_num(covariance))
         spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])
@@ -445,6 +465,35 @@ def errors(
         deviations = [np.linalg.norm(part, axis=1) for part in (spread[:, 2], spread[:, 4], slope)]
     known = np.isfinite(largest)
     return Errors(point, *(np.where(known, values, np.inf) for values in (largest, *deviations)))
+
+
+def contacts_with_errors(
+    x0: ArrayLike,
+    f0x: ArrayLike,
+    f0y: ArrayLike,
+    m0z: ArrayLike,
+    *,
+    tolerance: float,
+    rod: Rod,
+    noise: tuple[float, float],
+    direction: int = -1,
+    covariance: Array | None = None,
+    **completed: Any,
+) -> tuple[Contacts, Errors]:
+    """What `reconstruct` and `errors` give, in one march where the rod needs one.
+
+    `completed` are `missing`, `known` and `known_sd` of `errors`; the contacts at the tip are those of exact reactions.
+    """
+    columns, solved, told = checked_reactions(x0, f0x, f0y, m0z), None, completed.copy()
+    if covariance is not None or max(*noise, completed.get("known_sd", 0.0)):
+        solved, told["slopes"] = _solved_with_slopes(columns, direction, rod)
+    if solved is None:
+        found = reconstruct(*columns, tolerance=tolerance, direction=direction, rod=rod)
+    else:
+        found = _within(_of_solved(columns, solved, -direction), np.asarray(tolerance), None, -direction)
+    if "missing" in completed:
+        told["tip"] = found.within(TOLERANCE, direction=direction).phase == Phase.TIP
+    return found, errors(*columns[1:], noise=noise, direction=direction, rod=rod, covariance=covariance, **told)
 
 
 def _completed(spread: Array, missing: str, known: str, known_sd: float, tip: Mask, direction: int) -> Array:

@@ -224,16 +224,13 @@ class Marched(NamedTuple):
     """(n,) excess of the moment at the clamp over that of the free rod: negative for rods bent by a sweep in -x."""
 
 
-def contacts(rod: Rod, force: Array, moment: Array, within: float = PLACES) -> Marched:
-    """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``.
-
-    Places are right `within` that.
-    """
+def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
+    """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
 
     def marched(rows: Index | slice, steps: int) -> Marched:
         return _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
 
-    steps, found = enough_steps(marched, np.hypot(*force) + np.abs(moment), places=slice(3), within=within)
+    steps, found = enough_steps(marched, np.hypot(*force) + np.abs(moment), places=slice(3))
     if len(moment) <= TRIED:
         return found
     parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, len(moment), _BLOCK)]
@@ -259,9 +256,8 @@ def enough_steps(
     size: Array,
     places: slice = slice(None),
     steps: int = STEPS,
-    within: float = PLACES,
 ) -> tuple[int, Found]:
-    """The number of steps, at least so many, by which places are right `within` that, and what is marched by it.
+    """The number of steps, at least so many, by which places are right to `PLACES`, and what is marched by it.
 
     `march` gives columns for some rows by a number of steps, of which `places` are compared.  The rows are all up to `TRIED` of
     them, or so many of all sizes (n,).  From `STEPS` on the errors of the finer of two runs are smaller by the eighth power.
@@ -277,9 +273,9 @@ def enough_steps(
         finer = march(rows, more)
         before, after = (np.concatenate([np.atleast_2d(column) for column in found[places]]) for found in (last, finer))
         change = np.where(np.isnan(before) & np.isnan(after), 0.0, np.abs(after - before))
-        if (change <= within).all():
+        if (change <= PLACES).all():
             break
-        close = steps >= STEPS and (change <= within * ((more / steps) ** 8 - 1)).all()
+        close = steps >= STEPS and (change <= PLACES * ((more / steps) ** 8 - 1)).all()
         steps, last = more, finer
         if close:
             break
@@ -478,14 +474,14 @@ there, φ from an axis across gravity, which points along ``-i``."""
 def overhang(rod: Rod) -> Overhang:
     """The moment ``M_o(s, φ)`` of a rod.  Raises ValueError where it is so heavy that it hangs, or stands, in more than one
     shape."""
-    return _overhang(replace(rod, gravity=(0.0, -1.0) if rod.weight else None, compliance=0.0))
+    if rod.weight == 0:
+        return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
+    return _overhang(replace(rod, gravity=(0.0, -1.0), compliance=0.0))
 
 
 @lru_cache(maxsize=8)
 def _overhang(rod: Rod) -> Overhang:
     """The moment ``M_o(s, φ)``, a Fourier series in φ along the rod."""
-    if rod.weight == 0:
-        return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
     turns = np.arange(_TIP_SLOPES) * (2 * np.pi / _TIP_SLOPES)
     orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
 
@@ -572,13 +568,10 @@ class Solved(NamedTuple):
     """Where the method does not have a solution."""
 
 
-def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array, *, within: float = PLACES) -> Solved:
-    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is.
-
-    Places of rods that are integrated in steps are right `within` that.
-    """
+def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
+    """The contacts of reactions (n,) by one of `METHODS`; 'will' takes the straight uniform rod whatever the rod is."""
     if method == "scholz-rahn" or not rod.is_uniform:
-        return _marched(rod, f0x, f0y, m0z, within)
+        return _marched(rod, f0x, f0y, m0z)
     if rod.curvature:
         return _arc(rod, f0x, f0y, m0z)
     force, s, c = _polar(f0x, f0y)
@@ -640,10 +633,10 @@ def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     return solved
 
 
-def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array, within: float = PLACES) -> Solved:
+def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     carried = np.stack([f0x, f0y]) + rod.pull
     force, s, c = _polar(*carried)
-    found = contacts(rod, -carried, -m0z, within)
+    found = contacts(rod, -carried, -m0z)
     alpha = 2 * np.arctan2(s, c)
     beta = np.remainder(alpha - found.slope + np.pi, 2 * np.pi) - np.pi
     undefined = np.zeros(len(alpha), dtype=bool)

@@ -8,6 +8,7 @@ import shooting
 
 import planar
 from planar import NormalSource, Phase, Status
+from planar.reconstruction import contacts_with_errors
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 METHODS = ("closed-form", "scholz-rahn", "will")
@@ -121,6 +122,39 @@ def test_tolerance_decides_between_tip_and_tangential():
     # rounding puts friction angles of 0 on both sides of 0
     frictionless = planar.sweep(CIRCLE, 0.0, samples=200)
     assert (planar.reconstruct(*frictionless.reactions).status[1:] == Status.OK).all()
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("rod", [planar.Rod(), planar.Rod(curvature=0.3), planar.Rod(tip_diameter=0.5)])
+def test_a_smaller_tolerance_and_friction_may_come_later(rod, direction):
+    rng = np.random.default_rng(0)
+    force, angle = rng.uniform(0, 6, 400), rng.uniform(-0.3, 2.0, 400)
+    reactions = 0 * force, direction * force * np.sin(angle), force * np.cos(angle), -direction * rng.normal(1, 1, 400)
+    tolerance, given = rng.uniform(0, 0.2, 400), {"rod": rod, "direction": direction}
+    for friction in (None, rng.uniform(0, 0.5, 400)):
+        at_once = planar.reconstruct(*reactions, tolerance=tolerance, friction=friction, **given)
+        assert len(set(at_once.status.tolist())) >= 4
+        later = planar.reconstruct(*reactions, tolerance=0.5, **given).within(tolerance, friction, direction=direction)
+        for column in fields(at_once):
+            np.testing.assert_array_equal(getattr(later, column.name), getattr(at_once, column.name))
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_contacts_come_with_their_errors(direction):
+    for rod in (planar.Rod(), planar.Rod(curvature=0.3), planar.Rod(tip_diameter=0.5)):
+        swept, given = (
+            planar.sweep(CIRCLE, 0.2, samples=9, rod=rod, direction=direction),
+            {"direction": direction, "rod": rod},
+        )
+        for told in ({}, {"missing": "f0x", "known": "friction", "known_sd": 0.01}):
+            found, error = contacts_with_errors(*swept.reactions, tolerance=0.1, noise=(1e-4, 1e-4), **given, **told)
+            alone = planar.reconstruct(*swept.reactions, tolerance=0.1, **given)
+            assert found.phase.tolist() == alone.phase.tolist()
+            np.testing.assert_allclose(found.point, alone.point, atol=1e-9)
+            tip = planar.reconstruct(*swept.reactions, **given).phase == Phase.TIP
+            stated = planar.errors(*swept.reactions[1:], noise=(1e-4, 1e-4), **given, **told, tip=tip)
+            for values, others in zip(error, stated, strict=True):
+                np.testing.assert_allclose(values, others, rtol=1e-4)
 
 
 def test_known_friction_fills_in_tip_contacts_only():

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
+from planar.reconstruction import contacts_with_errors
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.columns import check_single
 from scan3d.files.recordings import read_known, sidecar
 from scan3d.files.tables import Table, read_table
 from scan3d.files.text import read_rod, read_section, rows_as_text
-from scan3d.reconstruction.errors import contact_tolerance
+from scan3d.reconstruction.errors import LARGEST_TOLERANCE, contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
 from scan3d.rods import Rod
 from scan3d.units import number
@@ -274,12 +275,10 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         reactions[name] = instead.complete(reactions, np.flatnonzero(felt), sweep.direction, rod)
         assumed = instead.errors
     f0x, f0y, m0z = reactions.values()
-    common: dict[str, Any] = {"direction": sweep.direction, "rod": rod}
-    found = planar.reconstruct(x0, f0x, f0y, m0z, **common)
-    tip = found.phase == planar.Phase.TIP
-    errors = planar.errors(f0x, f0y, m0z, noise=(force, moment), **common, **assumed, tip=tip)
-    if not assumed:
-        found = planar.reconstruct(x0, f0x, f0y, m0z, tolerance=contact_tolerance(errors), **common)
+    common: dict[str, Any] = {"direction": sweep.direction, "rod": rod, "tolerance": LARGEST_TOLERANCE}
+    wide, errors = contacts_with_errors(x0, f0x, f0y, m0z, noise=(force, moment), **common, **assumed)
+    tolerance = planar.TOLERANCE if assumed else contact_tolerance(errors)
+    found = wide.within(tolerance, direction=sweep.direction)
     given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
     undetermined = felt & given & ~np.isfinite(f0x + f0y + m0z)
     left, words = _unmeasured(sweep, felt)

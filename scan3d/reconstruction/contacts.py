@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 import planar
+from planar.reconstruction import contacts_with_errors
 from scan3d.arrays import Array, Index, Mask
 from scan3d.choices import MODELS
 from scan3d.cloud import Cloud, LeftOut, NormalSource
@@ -97,21 +98,19 @@ def readings_in_plane(recording: Recording, method: str = "closed-form") -> Plan
     if (by_moment := _by_moment(recording)) is not None:
         told = {"covariance": by_moment[:, IN_PLANE[:, None], IN_PLANE]}
     elif recording.completed is not None:
-        tip = planar.reconstruct(*columns, rod=bent).phase == planar.Phase.TIP
-        told = recording.completed.errors | {"tip": tip}
-    error = planar.errors(*columns[1:], noise=noise, rod=bent, **told)
+        told = recording.completed.errors
+    wide, error = contacts_with_errors(*columns, tolerance=LARGEST_TOLERANCE, noise=noise, rod=bent, **told)
     pressed = felt(recording.pressing(six_axis=False), noise)
-    near = pressed
-    if recording.rig is not None:  # of contacts farther from the tip that no friction pulls no tolerance makes others
-        wide = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent)
-        near = pressed & ((wide.s1 >= 1 - LARGEST_TOLERANCE) | (wide.friction_angle_bound < 0))
+    # of contacts farther from the tip that no friction pulls no tolerance makes others
+    near = pressed & ((wide.s1 >= 1 - LARGEST_TOLERANCE) | (wide.friction_angle_bound < 0))
     tolerance = np.asarray(tip_tolerance(recording, near, contact_tolerance(error), "planar"))
     # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
     if rod.diameter_m:
-        steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
-        reach = rod.diameter_m / 2 / rod.length_m / np.cos(np.nan_to_num(steep))
+        reach = rod.diameter_m / 2 / rod.length_m / np.cos(np.nan_to_num(wide.friction_angle_bound))
         tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)
-    found = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
+    found = wide.within(tolerance)
+    if method != "closed-form":
+        found = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
     return PlaneReadings(found, error, pressed, pressed & (found.phase != planar.Phase.NONE), tolerance)
 
 
@@ -141,8 +140,12 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
+        told: dict[str, Any] = {"tolerance": tolerance, "friction": common}
         columns, bent = _in_plane(recording)
-        in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common, rod=bent)
+        if method == "closed-form":
+            in_plane = in_plane.within(**told)
+        else:
+            in_plane = planar.reconstruct(*columns, method=method, rod=bent, **told)
     rows = np.flatnonzero(touching)
     if not len(rows):
         raise NoContactError(
@@ -310,10 +313,12 @@ def readings_alone(recording: Recording) -> Readings:
     force, moment = recording.reactions(six_axis=True)
     noise = recording.noise.of_reactions(recording.rod)
     bent, down = recording.rod.in_space(), recording.down()
-    wide = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise, rod=bent, gravity=down)
     error, by_moment = None, _by_moment(recording)
     if max(*noise, recording.noise.pose_m) or by_moment is not None:
-        error = inverse.errors(force, moment, noise, rod=bent, gravity=down, covariance=by_moment, found=wide)
+        told: dict[str, Any] = {"rod": bent, "gravity": down, "covariance": by_moment}
+        wide, error = inverse.contacts_with_errors(force, moment, noise, **told)
+    else:
+        wide = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise, rod=bent, gravity=down)
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))

@@ -28,7 +28,7 @@ from planar.reconstruction import DIFFERENCE
 from planar.rods import solve
 from scan3d.arrays import ROUNDING, Array, Index, Mask
 from scan3d.spatial import march
-from scan3d.spatial.march import SpatialRod
+from scan3d.spatial.march import Marched, SpatialRod
 
 _STRAIGHT = planar.Rod()
 PAST_TIP = 0.999
@@ -138,6 +138,7 @@ def reconstruct(
     rod: SpatialRod | None = None,
     gravity: ArrayLike | None = None,
     steps: int | None = None,
+    marched: Marched | None = None,
 ) -> SpatialContacts:
     """Contacts from support reactions ``f0`` and clamping moments ``m0`` (n, 3) in the clamp's frame.
 
@@ -152,6 +153,8 @@ def reconstruct(
         `noise` is not used.
     steps
         along such a rod; as many as make places right to 1e-10 by default.
+    marched
+        such rods, if they are marched already.
 
     `status` says why a row has no contact.  Raises ValueError for arrays of other shapes and for a tolerance or noise out of
     range.
@@ -173,7 +176,7 @@ def reconstruct(
         ex, ez = m0[:, 2] / m, -m0[:, 0] / m
         if other is not None:
             down = None if gravity is None else np.asarray(gravity, dtype=float).T
-            found = march.contacts(other, f0.T, m0.T, down, steps)
+            found = marched or march.contacts(other, f0.T, m0.T, down, steps)
             s1, point, tangent, force, torsion, skew = (np.array(column.T) for column in found)
             size = np.linalg.norm(force, axis=1)
         else:
@@ -256,9 +259,7 @@ def errors(
     `found` are the contacts, by this noise and with the tolerance `PAST_TIP`, if they are known already.
     """
     if covariance is not None or (rod is not None and not rod.is_straight_and_uniform):
-        if covariance is None:
-            covariance = np.broadcast_to(np.diag(np.repeat(np.square(noise), 3)), (len(f0), 6, 6))
-        return _errors_by_differences(rod or SpatialRod(), f0, m0, covariance, gravity)
+        return _by_differences(rod or SpatialRod(), f0, m0, noise, gravity, covariance)[1]
     sigma_f, sigma_m = noise
     with np.errstate(all="ignore"):  # rows without a force have no errors that are numbers
         # exact reactions, of rods whose poses alone are noisy, give the same direction with any weights
@@ -290,20 +291,47 @@ def _where(known: Mask, point: Array, *others: Array) -> SpatialErrors:
     return SpatialErrors(point, largest, *(np.where(known & np.isfinite(v), v, np.inf) for v in others))
 
 
-def _errors_by_differences(
-    rod: SpatialRod, f0: Array, m0: Array, covariance: Array, gravity: Array | None
-) -> SpatialErrors:
-    """`errors` of rods that do not bend in a plane, by central differences of their contacts."""
+def contacts_with_errors(
+    f0: Array,
+    m0: Array,
+    noise: tuple[float, float],
+    *,
+    rod: SpatialRod,
+    gravity: Array | None = None,
+    covariance: Array | None = None,
+) -> tuple[SpatialContacts, SpatialErrors]:
+    """`reconstruct` with the tolerance `PAST_TIP`, and `errors`: rods that need a march are marched once."""
+    told: dict[str, Any] = {"rod": rod, "gravity": gravity}
+    if rod.is_straight_and_uniform:
+        found = reconstruct(f0, m0, tolerance=PAST_TIP, noise=noise, **told)
+        return found, errors(f0, m0, noise, covariance=covariance, found=found, **told)
+    marched, error = _by_differences(rod, f0, m0, noise, gravity, covariance)
+    return reconstruct(f0, m0, tolerance=PAST_TIP, marched=marched, **told), error
+
+
+def _by_differences(
+    rod: SpatialRod,
+    f0: Array,
+    m0: Array,
+    noise: tuple[float, float],
+    gravity: Array | None,
+    covariance: Array | None,
+) -> tuple[Marched, SpatialErrors]:
+    """Contacts of rods that do not bend in a plane, and `errors` by central differences of them: all in one march."""
     down = None if gravity is None else gravity.T
+    if covariance is None:
+        covariance = np.broadcast_to(np.diag(np.repeat(np.square(noise), 3)), (len(f0), 6, 6))
     size = np.repeat([np.linalg.norm(f0, axis=1), np.linalg.norm(m0, axis=1)], 3, axis=0)
     reactions = np.concatenate([f0.T, m0.T])
     with np.errstate(all="ignore"):
         step, n = DIFFERENCE * np.eye(6)[:, :, None] * size, len(f0)
         moved = np.stack([reactions - step, reactions + step]).transpose(2, 0, 1, 3).reshape(6, -1)
-        down = None if down is None else np.tile(down, 12)
-        found = march.contacts(rod, moved[:3], moved[3:], down, within=DIFFERENCE**2)
+        every = np.hstack([reactions, moved])
+        down = None if down is None else np.tile(down, 13)
+        found = march.contacts(rod, every[:3], every[3:], down)
         along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
-        ends = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]).reshape(8, 2, 6, n)
+        values = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]])
+        ends = values[:, n:].reshape(8, 2, 6, n)
         rate = (ends[:, 1] - ends[:, 0]) / (2 * DIFFERENCE * size)
         slope = rate.transpose(2, 0, 1)  # of place, tangent, s1 and β (n, 8, 6)
         spread = slope @ covariance @ slope.transpose(0, 2, 1)
@@ -312,7 +340,8 @@ def _errors_by_differences(
         direction, by_force = f0 / size[0][:, None], covariance[:, :3, :3]
         along_force = np.einsum("ni,nij,nj->n", direction, by_force, direction)
         force = np.sqrt(np.maximum(np.trace(by_force, axis1=1, axis2=2) - along_force, 0.0)) / size[0]
-    return _where(np.isfinite(spread).all(axis=(1, 2)), point, s1, beta, tangent, force)
+    error = _where(np.isfinite(spread).all(axis=(1, 2)), point, s1, beta, tangent, force)
+    return Marched._make(column[..., :n] for column in found), error
 
 
 def _checked(name: str, values: ArrayLike) -> Array:

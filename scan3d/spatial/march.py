@@ -83,12 +83,11 @@ def contacts(
     moment: Array,
     gravity: Array | None = None,
     steps: int | None = None,
-    within: float = PLACES,
 ) -> Marched:
     """Contacts of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
 
     Reactions of rods with weight are the whole ones.  `steps` along the rod are by default as many as places need to be
-    right `within` that.  Raises ValueError for a weight without gravity.
+    right to 1e-10.  Raises ValueError for a weight without gravity.
     """
     start, contact_force = _clamped(rod, force, moment, gravity)
 
@@ -96,7 +95,7 @@ def contacts(
         return _contacts(rod, start[:, rows], contact_force[:, rows], steps)
 
     if steps is None:
-        steps, found = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(1, 2), within=within)
+        steps, found = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(1, 2))
         if force.shape[1] <= TRIED:
             return found
     parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, max(force.shape[1], 1), _BLOCK)]
