@@ -181,7 +181,7 @@ class Live:
         """
         if sweep is not None:
             check_whole("sweep", sweep, 0)
-        place, turn, shown = self._checked(position, quaternion, wrench)
+        place, turn, shown = self._checked(t, position, quaternion, wrench)
         self.state = "unknown"
         if not all(map(np.isfinite, (t, place.sum(), turn.sum(), shown.sum()))):
             return None
@@ -255,8 +255,14 @@ class Live:
             one.__dict__["sweep"] = np.array([self._sweep])
         return rows
 
-    def _checked(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array, Array]:
-        place, turn, shown = (np.asarray(values, dtype=np.float64) for values in (position, quaternion, wrench))
+    def _checked(
+        self, t: float, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike
+    ) -> tuple[Array, Array, Array]:
+        try:
+            place, turn, shown = (np.asarray(values, dtype=np.float64) for values in (position, quaternion, wrench))
+            float(t)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"a row is made of numbers: {error}") from None
         if shown.shape == (3,) and self.model == "planar" and self._calibration is None:
             fx, fy, mz = shown
             shown = np.array([fx, fy, 0.0, 0.0, 0.0, mz])

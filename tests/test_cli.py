@@ -110,6 +110,7 @@ def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call,
         ("calibrate log.csv --out rig.toml", "the reference is one of --sphere D, --plane and --known PLACES"),
         ("batch cube.stl --out out --jobs 2 --scheduler x", "--jobs and --scheduler are two places"),
         ("simulate cube.stl --out log.csv --placed p.ply", "--placed is for a rig: give --poses FILE"),
+        ("plan --around 0,0,20,10 --out p.txt", "poses are written as .csv, got 'p.txt'"),
     ],
 )
 def test_wrong_usage(call, tmp_path, monkeypatch, asked, sentence):

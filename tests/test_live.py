@@ -221,10 +221,12 @@ def test_what_is_no_row_is_refused():
         ({"sweep": 1.5}, "sweep must be a whole number of at least 0"),
         ({"wrench": [1e300, 0, 0]}, "the wrench holds 1e"),
         ({"position": [1e200, 0, 0]}, "position_m holds 1"),
+        ({"t": "noon"}, "a row is made of numbers"),
+        ({"position": "here"}, "a row is made of numbers"),
     ):
-        row = {"position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "wrench": [0, 0, 0], **wrong}
+        row = {"t": 0.0, "position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "wrench": [0, 0, 0], **wrong}
         with pytest.raises(InputError, match=message):
-            live.push(0.0, **row)
+            live.push(**row)
     with pytest.raises(InputError, match="the recording has no rows"):
         scan3d.reconstruct(live.recording)
     with pytest.raises(InputError, match="the recording has no rows"):

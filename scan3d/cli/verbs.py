@@ -356,7 +356,7 @@ def surface(
     def read() -> tuple[Any, Any]:
         file = read_all_points(points)
         if file.left_out:
-            output.progress.say(f"{file.left_out} rows of {file.name} have no place, and are left out")
+            output.progress.say(f"rows without a place in {file.name}: {file.left_out}, left out")
         cloud = touches(file, place_sd=place_sd, normal_sd=normal_sd, unit=unit, table=table)
         return cloud, None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
 

@@ -152,14 +152,14 @@ class Table:
         if bad.any():
             row = int(np.argmax(bad))
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
-            drop = (
-                ', or write missing = "drop" under [table] in the map to leave such rows out'
-                if self.layout and self.layout.missing != "drop"
-                else ""
-            )
+            instead = ""
+            if gaps:
+                instead = ", or leave such cells empty"
+            elif self.layout and self.layout.missing != "drop":
+                instead = ', or write missing = "drop" under [table] in the map to leave such rows out'
             raise InputError(
                 f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
-                f"{int(bad.sum())} of {len(values)} rows; complete the table{drop}"
+                f"{int(bad.sum())} of {len(values)} rows; complete the table{instead}"
             )
         return values
 
