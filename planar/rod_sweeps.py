@@ -26,6 +26,8 @@ from planar.contours import Path
 from planar.rods import Overhang, Rod, excess, grid, overhang, started, step
 from planar.segments import Equilibria, Segments, State, cut_rows, fractions, rates
 
+# Rods that are sought at once, which are marched with three more each: their stages stay in the processor's cache.
+_BLOCK = 1024
 # Steps along the rod to start with.
 _COARSE = 4
 # Error of a state that more steps along the rod may leave, in rod lengths and radians.
@@ -242,6 +244,16 @@ class AnyRod(Equilibria):
 
         With the `slopes` of rods found by fewer steps, others are computed only where these don't lead to the solution.
         """
+        if len(piece) > _BLOCK:
+            parts = [slice(begin, begin + _BLOCK) for begin in range(0, len(piece), _BLOCK)]
+            every: list[_Found] = []
+            for part in parts:
+                own, known = (None if column is None else column[part] for column in (target, slopes))
+                given = path, piece[part], zeta[part], w[:, part], own
+                every.append(self._newton(*given, held=held, steps=steps, slopes=known))
+            w, states, slopes, first = zip(*every, strict=True)
+            state = State._make(np.concatenate(column) for column in zip(*states, strict=True))
+            return _Found(np.concatenate(w, axis=1), state, np.concatenate(slopes), np.concatenate(first))
         w, n = w.copy(), len(piece)
         state = _nowhere(n)
         fresh, first = slopes is None, np.full(n, np.nan)
