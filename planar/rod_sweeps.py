@@ -245,15 +245,19 @@ class AnyRod(Equilibria):
         With the `slopes` of rods found by fewer steps, others are computed only where these don't lead to the solution.
         """
         if len(piece) > _BLOCK:
-            parts = [slice(begin, begin + _BLOCK) for begin in range(0, len(piece), _BLOCK)]
-            every: list[_Found] = []
-            for part in parts:
+            every = []
+            for begin in range(0, len(piece), _BLOCK):
+                part = slice(begin, begin + _BLOCK)
                 own, known = (None if column is None else column[part] for column in (target, slopes))
                 given = path, piece[part], zeta[part], w[:, part], own
                 every.append(self._newton(*given, held=held, steps=steps, slopes=known))
-            w, states, slopes, first = zip(*every, strict=True)
-            state = State._make(np.concatenate(column) for column in zip(*states, strict=True))
-            return _Found(np.concatenate(w, axis=1), state, np.concatenate(slopes), np.concatenate(first))
+            states = zip(*(found.state for found in every), strict=True)
+            return _Found(
+                np.concatenate([found.w for found in every], axis=1),
+                State._make(map(np.concatenate, states)),
+                np.concatenate([found.slopes for found in every]),
+                np.concatenate([found.first for found in every]),
+            )
         w, n = w.copy(), len(piece)
         state = _nowhere(n)
         fresh, first = slopes is None, np.full(n, np.nan)
