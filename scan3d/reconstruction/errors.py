@@ -17,7 +17,7 @@ it does not (`diagnosis`), is told by them alone.  Each comes with what errors e
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
@@ -30,7 +30,7 @@ from scan3d.geometry.hulls import hull_about_mean
 from scan3d.recording import FORCE_SIGMAS, IN_PLANE, Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
 from scan3d.spatial import inverse
-from scan3d.spatial.march import free_reactions, reshaped
+from scan3d.spatial.march import SpatialRod, free_reactions, reshaped
 
 LARGEST_TOLERANCE = 0.5
 """Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
@@ -161,44 +161,32 @@ class Effects(NamedTuple):
 def effects(recording: Recording, rows: Index, model: str) -> Effects:
     """The effects on the contacts of some rows; NaN where a row has no rod.  The recording has a `rig`."""
     assert recording.rig is not None
-    axes = recording.axes()[rows]
-    moved: list[list[Array]] = [[], [], []]
-    force, moment = _wrench(recording, rows)
-    # the spatial model weights by it what it knows of the bending plane
-    noise = None if model == "planar" else recording.noise.of_reactions(recording.rod)
-    components, right = recording.rig.components(), np.zeros(6)
-    exact = np.zeros(len(components))
+    axes, components = recording.axes()[rows], recording.rig.components().T
     # a step between the error of central differences and rounding
-    errors = [(1e-2, error, right) for error in components.T]
-    size = np.zeros((len(rows), 1))
+    step, of_wrench, size = np.full(len(components), 1e-2), np.zeros((len(components), 6)), np.zeros(len(rows))
     if relative := recording.rig.relative:
-        size = _size(recording, rows)[:, None]
+        size, channels = _size(recording, rows), list(_REACTIONS[model])
         # about as far as all contacts stay within at once, so that what is not linear in the error of a wrench is part
         # of it
-        errors += [(4.0, exact, relative * np.eye(6)[k]) for k in _REACTIONS[model]]
-
-    def changed(step: float, error: Array, of_wrench: Array) -> tuple[Array, Array, Array]:
-        wrench = force + step * size * of_wrench[:3], moment + step * size * of_wrench[3:]
-        return _contacts(recording, rows, wrench, noise, step * error)
-
-    middle = changed(0.0, exact, right)
-    for step, *parts in errors:
-        sides = changed(step, *parts), changed(-step, *parts)
-        with np.errstate(invalid="ignore"):
-            for column, one, between, other in zip(moved, sides[0], middle, sides[1], strict=True):
-                column.append(_larger(one - between, between - other) / step)
-    place, tangent, s1 = (
-        np.stack(column, axis=-1) if column else np.zeros((len(rows), *shape, 0))
-        for column, shape in zip(moved, ((3,), (3,), ()), strict=True)
+        step = np.append(step, np.full(len(channels), 4.0))
+        components = np.vstack([components, np.zeros((len(channels), components.shape[1]))])
+        of_wrench = np.vstack([of_wrench, relative * np.eye(6)[channels]])
+    errors, added = (
+        np.vstack([0 * part[:1], part, -part]) for part in (step[:, None] * components, step[:, None] * of_wrench)
     )
-    place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in (place, tangent))
-    return Effects(place, tangent, s1, np.einsum("ni,nij->nj", middle[1], axes))
+    wrench = np.hstack(_wrench(recording, rows)) + size[:, None] * added[:, None]
+    found, moved = _contacts(recording, rows, wrench, errors, model), []
+    for middle, *sides in ((column[0], *np.split(column[1:], 2)) for column in found):
+        with np.errstate(invalid="ignore"):
+            change = _larger(sides[0] - middle, middle - sides[1]) / step[:, None, None]
+        moved.append(change.transpose(1, 2, 0))
+    place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in moved[:2])
+    return Effects(place, tangent, moved[2][:, 0], np.einsum("ni,nij->nj", found[1][0], axes))
 
 
 def _larger(one: Array, other: Array) -> Array:
-    """(n,) or (n, 3): the larger one of two changes in each row; NaN where either is."""
-    squares = ((part**2).reshape(len(part), -1).sum(axis=1) for part in (one, other))
-    larger = np.greater(*squares).reshape(-1, *[1] * (one.ndim - 1))
+    """(p, n, k): the larger one of two changes in each row; NaN where either is."""
+    larger = np.greater(*((part**2).sum(axis=-1, keepdims=True) for part in (one, other)))
     return np.asarray(np.where(larger, one, other) + 0 * one)
 
 
@@ -216,33 +204,60 @@ def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:
 
 
 def _contacts(
-    recording: Recording, rows: Index, wrench: tuple[Array, Array], noise: tuple[float, float] | None, error: Array
+    recording: Recording, rows: Index, wrench: Array, errors: Array, model: str
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig with an error (18 + g,)."""
-    rod, (force, moment) = recording.rod, wrench
-    if error[17]:
-        heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(error[17])))
-        sides = zip(wrench, _wrench(heavier, rows), _wrench(recording, rows), strict=True)
-        rod, (force, moment) = heavier.rod, (part + more - less for part, more, less in sides)
+    """Contacts and tangents (e, n, 3) in the clamp's frame, and s1 (e, n, 1), of wrenches (e, n, 6) by a rig with errors
+    (e, 18 + g)."""
     assert recording.rig is not None
-    added = np.einsum("k,kij->ij", error, recording.rig.on_wrench(rod.length_m))
-    offset, turn = error[2:5] / rod.length_m, error[5:8]
-    force, moment = np.hsplit(np.exp(-error[0]) * np.hstack([force, moment]) @ (np.eye(6) + added).T, 2)
-    if noise is None:
-        force[:, 2] = 0
-        moment[:, :2] = 0
-    bent, down = reshaped(rod.in_space(), error[14:17] * [1.0, rod.length_m, rod.length_m]), recording.down()
-    pulled = None if down is None else down[rows]
+    count, n = wrench.shape[:2]
+    found = np.empty((count, n, 3)), np.empty((count, n, 3)), np.empty((count, n, 1))
+    added = np.einsum("ek,kij->eij", errors, recording.rig.on_wrench(recording.rod.length_m))
+    turned = (np.eye(6) + added).swapaxes(1, 2)
+    # rods of one shape are reconstructed together
+    shapes, of = np.unique(errors[:, 14:18], axis=0, return_inverse=True)
+    for k, shape in enumerate(shapes):
+        part = np.flatnonzero(of.ravel() == k)
+        own, rod = wrench[part], recording.rod
+        if shape[3]:
+            heavier = replace(recording, rod=replace(rod, weight_N=rod.weight_N + float(shape[3])))
+            own = own + np.hstack(_wrench(heavier, rows)) - np.hstack(_wrench(recording, rows))
+            rod = heavier.rod
+        own = np.exp(-errors[part, :1, None]) * own @ turned[part]
+        if model == "planar":
+            own[..., 2:5] = 0
+        bent = reshaped(rod.in_space(), shape[:3] * [1.0, rod.length_m, rod.length_m])
+        every = _of_one_rod(recording, np.tile(rows, len(part)), own.reshape(-1, 6), bent, model)
+        point, along, s1 = (column.reshape(len(part), n, -1) for column in every)
+        longer, offset, turn = (
+            1 + errors[part, 1, None, None],
+            errors[part, None, 2:5] / rod.length_m,
+            errors[part, None, 5:8],
+        )
+        if recording.in_probings.all():
+            point = longer * point
+        else:
+            s1 = s1 / longer
+        found[0][part], found[1][part] = offset + point + np.cross(turn, point), along + np.cross(turn, along)
+        found[2][part] = s1
+    return found
+
+
+def _of_one_rod(
+    recording: Recording, rows: Index, wrench: Array, rod: SpatialRod, model: str
+) -> tuple[Array, Array, Array]:
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) of wrenches (n, 6)."""
+    (force, moment), noise = np.hsplit(wrench, 2), recording.noise.of_reactions(recording.rod)
+    pulled = None if (down := recording.down()) is None else down[rows]
     if recording.in_probings.all():
-        measured, bead = recording.noise.of_reactions(recording.rod), rod.bead_diameter_m / 2 / rod.length_m
+        bead = recording.rod.bead_diameter_m / 2 / recording.rod.length_m
         pulled = None if pulled is None else pulled.T
-        ends = inverse.at_ends(force.T, moment.T, measured, rod=bent, gravity=pulled, in_plane=noise is None, bead=bead)
-        point, s1 = (1 + error[1]) * (ends.point.T - bead * ends.normal), np.ones(len(force))
-        along = np.broadcast_to([0.0, 1.0, 0.0], point.shape)
-    else:
-        found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise, rod=bent, gravity=pulled)
-        point, along, s1 = found.point, found.tangent, found.s1 / (1 + error[1])
-    return offset + point + np.cross(turn, point), along + np.cross(turn, along), s1
+        told: dict[str, Any] = {"rod": rod, "gravity": pulled, "in_plane": model == "planar", "bead": bead}
+        ends = inverse.at_ends(force.T, moment.T, noise, **told)
+        return ends.point.T - bead * ends.normal, np.broadcast_to([0.0, 1.0, 0.0], force.shape), np.ones(len(force))
+    # the spatial model weights by the noise what it knows of the bending plane
+    known = None if model == "planar" else noise
+    found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=known, rod=rod, gravity=pulled)
+    return found.point, found.tangent, found.s1
 
 
 def torsion_sd(recording: Recording, rows: Index) -> Array:
@@ -265,7 +280,7 @@ def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, mo
 
 
 def _blocks(rows: Index) -> list[Index]:
-    return np.array_split(rows, 1 + 3 * len(RIG_QUANTITIES) * len(rows) // AT_ONCE)
+    return np.array_split(rows, 1 + 64 * len(RIG_QUANTITIES) * len(rows) // AT_ONCE)
 
 
 def with_rig_errors(cloud: Cloud, recording: Recording) -> Cloud:
