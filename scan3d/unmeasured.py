@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.special import ndtr
+from scipy.special import ndtr, pdtrc
 
 from scan3d.arrays import SOME, Array, Index, Mask, evenly
 
@@ -277,10 +277,12 @@ def _saturated(column: Array, air: Mask, rows: Mask) -> list[tuple[float, Index]
         return found
     for extreme, sign in ((known.min(), 1.0), (known.max(), -1.0)):
         at = rows & (column == extreme)
-        beside = sign * (known - extreme)
-        # a peak has hardly more rows within the last step than within the one before
+        beside, count = sign * (known - extreme), int(at.sum())
+        # a peak has hardly more rows within the last step than within the one before, and of those within more steps no larger
+        # part than a parabola; few rows may lie there by chance
         next_one = int(((beside > 0) & (beside < 1.5 * step)).sum())
-        if at.sum() > SEVERAL * max(1, next_one) and not (at & air).any():
+        expected = min(int((beside < (k - 0.5) * step).sum()) / np.sqrt(k) for k in (4, 16, 64))
+        if count > SEVERAL * max(1, next_one) and pdtrc(count - 1, expected) < CHANCE and not (at & air).any():
             found.append((float(extreme), np.flatnonzero(at)))
     return found
 
