@@ -195,12 +195,15 @@ def _longest(chance: float, count: int) -> float:
 
 
 def _beside(column: Array, start: int, stop: int) -> float:
-    """The larger `_chance` of the rows of a channel (n,) before and after a run; 1 where few of them differ."""
+    """The largest `_chance` of the rows of a channel (n,) before and after a run, or how often these all but repeat, as
+    steps of a converter do that are tared of a drift; 1 where few of them differ."""
     found = []
     for rows in (column[max(start - _BESIDE, 0) : start + 1], column[stop : stop + _BESIDE]):
-        differs = np.append(True, np.diff(rows) != 0)[: len(rows)]
+        change = np.abs(np.diff(rows))
+        differs = np.append(True, change != 0)[: len(rows)]
         if differs.sum() > _FEWEST:
-            found.append(_chance(rows, np.ones(len(rows), dtype=bool), differs))
+            still = float((change <= 0.01 * np.quantile(change, 0.9)).mean())
+            found.append(max(still, _chance(rows, np.ones(len(rows), dtype=bool), differs)))
     return max(found, default=1.0)
 
 
