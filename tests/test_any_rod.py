@@ -283,33 +283,6 @@ def test_statuses_of_any_rod():
     assert statuses.tolist() == [Status.NO_FORCE, Status.WRONG_SIDE, Status.NO_ROD, Status.NO_FORCE, Status.OK]
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (dict(tip_diameter=0), "tip_diameter must be a positive number"),
-        (dict(curvature=np.nan), "curvature must be a number"),
-        (dict(weight=-1), "weight must be a number of at least 0"),
-        (dict(weight=1), "a rod with weight needs the direction"),
-        (dict(weight=1, gravity=(0, 0)), "a rod with weight needs the direction"),
-        (dict(compliance=np.inf), "compliance must be a number of at least 0"),
-        (dict(stiffness=[1, 2]), "stiffness must have rows"),
-        (dict(stiffness=[[0, 1], [0.5, 1]]), "must rise from 0 to 1"),
-        (dict(stiffness=[[0, 2], [1, 1]]), "1 at the clamp"),
-        (dict(stiffness=[[0, 1], [1, 1]], tip_diameter=0.5), "either a tip_diameter or a table"),
-    ],
-)
-def test_what_is_no_rod(settings, words):
-    with pytest.raises(ValueError, match=words):
-        Rod(**settings)
-
-
-def test_rods_that_are_too_heavy_and_methods_for_other_rods():
-    with pytest.raises(ValueError, match="more than one shape under its weight"):
-        planar.free_reactions(Rod(weight=20.0, gravity=(0, -1)))
-    with pytest.raises(ValueError, match="'will' is for straight"):
-        planar.reconstruct(0.0, -0.5, 0.1, 0.5, "will", rod=Rod(tip_diameter=0.5))
-
-
 @pytest.mark.slow
 def test_rows_may_have_a_gravity_each():
     rng, triangle = np.random.default_rng(3), planar.Polygon([(-0.3, 1.0), (0.0, 0.6), (0.3, 1.0)])
@@ -371,5 +344,3 @@ def test_events_are_where_sweeps_change(rod, direction):
         kinds = [planar.EventKind.TO_TIP, planar.EventKind.TO_TANGENTIAL]
         assert len(last) >= np.isin(found.kind, kinds).sum()
         np.testing.assert_allclose(found.m0z[0, 1], 0.0, atol=1e-9)
-    with pytest.raises(ValueError, match="straight at rest and weightless"):
-        planar.events(CIRCLE, rod=Rod(curvature=0.1))

@@ -215,35 +215,6 @@ def test_a_reach_and_a_bead_add_up(coarse):
     assert alone.volume_between is None
 
 
-@pytest.mark.parametrize(
-    ("wrong", "match"),
-    [
-        ({"bead_diameter_m": -1e-3}, "bead_diameter_m of at least 0"),
-        ({"bead_diameter_m": 1e-3, "diameter_m": 2e-3}, "at least its diameter"),
-        ({"bead_diameter_m": 0.06}, "less than its length"),
-        ({"bead_diameter_m": 1e-3, "weight_N": 1e-3}, "straight and without weight"),
-        ({"bead_diameter_m": 1e-3, "curvature_per_m": 1.0}, "straight and without weight"),
-    ],
-)
-def test_a_bead_belongs_to_a_straight_rod_that_passes_where_it_has_passed(wrong, match):
-    with pytest.raises(InputError, match=match):
-        Rod(0.05, 1e-4, **wrong)
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"bead": -1.0}, "diameter >= 0"),
-        ({"bead": 1.0}, "choose the spatial model"),
-        ({"rod": ROD}, "choose the spatial model"),
-        ({"bead": 1.0, "model": "spatial", "probing": "off"}, "with probing auto or only"),
-    ],
-)
-def test_a_body_is_only_probed_with_a_bead(settings, match):
-    with pytest.raises(InputError, match=match):
-        scan3d.Plan(**settings)
-
-
 def test_a_bead_needs_six_axes_and_no_sweeps():
     mesh = trimesh.creation.icosphere(2, radius=12.0)
     recording = recording_of(mesh)

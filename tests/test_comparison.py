@@ -10,7 +10,6 @@ from shapes import PAIRS, ball, cube, letter_l, moved, quad, rotation, soup
 
 from scan3d.arrays import SOME
 from scan3d.comparison import compare, compare_with_points
-from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 
 
@@ -109,29 +108,3 @@ def test_normals_of_a_turned_cube():
     assert result.normal_median_deg == pytest.approx(5.0)  # four of six faces
     inside_out = trimesh.Trimesh(cube().vertices, cube().faces[:, ::-1], process=False)
     assert compare(inside_out, cube()).normal_median_deg == pytest.approx(180.0)
-
-
-BROKEN = {
-    "no faces": (
-        trimesh.Trimesh([(0, 0, 0), (1, 0, 0)], process=False),
-        "at least one triangle, but it has 2 vertices",
-    ),
-    "empty": (trimesh.Trimesh(), "at least one triangle, but it has 0 vertices"),
-    "not a number": (
-        trimesh.Trimesh([(0, 0, 0), (1, 0, np.nan), (0, 1, 0)], [(0, 1, 2)], process=False),
-        "finite coordinates, but 1 of its 3 vertices",
-    ),
-    "infinite": (
-        trimesh.Trimesh([(0, 0, 0), (1, 0, np.inf), (0, 1, 0)], [(0, 1, 2)], process=False),
-        "finite coordinates, but 1 of its 3 vertices",
-    ),
-    "no extent": (trimesh.Trimesh([(3, 2, 1)] * 3, [(0, 1, 2)], process=False), r"all its 3 vertices are at \[3"),
-}
-
-
-@pytest.mark.parametrize(("mesh", "words"), BROKEN.values(), ids=BROKEN)
-def test_what_cannot_be_compared_is_refused(mesh, words):
-    with pytest.raises(InputError, match=f"the surface should .*{words}"):
-        compare(mesh, cube())
-    with pytest.raises(InputError, match=f"the mesh should .*{words}"):
-        compare(cube(), mesh)

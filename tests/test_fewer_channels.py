@@ -92,23 +92,6 @@ def test_errors_are_those_of_drawn_noise(missing):
     np.testing.assert_allclose(chi, 1, atol=5 / np.sqrt(draws))
 
 
-def test_what_must_be_known_is_said():
-    sweep = planar.sweep(CIRCLE, 0.2, samples=5)
-    wrong = [
-        ((without(sweep, "f0x"), {}), "one of friction, slope and tip must be given"),
-        ((without(sweep, "f0x"), {"friction": 0.2, "tip": True}), "one of friction, slope and tip must be given"),
-        ((list(sweep.reactions), {"tip": True}), "exactly one of f0x, f0y and m0z must be None, got 0"),
-        (([sweep.x0, None, None, sweep.m0z], {"tip": True}), "exactly one of .* got 2"),
-        ((without(sweep, "f0y"), {"friction": -1}), "friction must be one number >= 0"),
-        ((without(sweep, "f0y"), {"tip": True, "direction": 0}), "direction must be -1 or 1"),
-    ]
-    for (columns, options), sentence in wrong:
-        with pytest.raises(ValueError, match=sentence):
-            planar.complete(*columns, **options)
-    with pytest.raises(ValueError, match="missing must be one of"):
-        planar.errors(*sweep.reactions[1:], noise=(1e-3, 1e-3), missing="fz")
-
-
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)
 
 
@@ -147,10 +130,6 @@ def test_single_touches_are_located_by_a_push():
         planar.touched_at(-1 / (s1 / 3 * s1 + 0.05 * s1), rod=planar.Rod(compliance=0.05)), s1, atol=1e-6
     )
     assert np.isnan(planar.touched_at(2.9)).all()
-    with pytest.raises(ValueError, match="straight rod without weight"):
-        planar.touched_at(3.0, rod=planar.Rod(curvature=0.1))
-    with pytest.raises(ValueError, match="start must be an arc length"):
-        planar.complete_by_moment([0.0], [0.1], 1.2)
 
 
 # bending stiffness that falls to a twelfth, as that of beams made for such sensors

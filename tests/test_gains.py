@@ -140,9 +140,6 @@ def test_the_gains_are_those_of_the_channels_whatever_frame_a_map_states(tmp_pat
 def test_an_accuracy_is_one_number_or_one_of_each_channel():
     np.testing.assert_array_equal(accuracy_of(0.01), np.full(6, 0.01))
     np.testing.assert_array_equal(accuracy_of([0.0, 0.0, 0.0, 0.01, 0.01, 0.02])[3:], [0.01, 0.01, 0.02])
-    for wrong in (-0.1, 0.5, np.nan, [0.01, 0.02], "0.5 %", None, [[0.01] * 6]):
-        with pytest.raises(InputError, match=r"accuracy must be a number from 0 to 0\.3"):
-            accuracy_of(wrong)
 
 
 def test_gains_act_in_the_frame_of_the_sensor():

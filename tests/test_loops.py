@@ -74,23 +74,6 @@ def test_contours_inside_others_are_out_of_reach():
     assert ring.distance(np.array([[0.0, 0.8]]))[0] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: planar.Contours([]), "at least one"),
-        (lambda: planar.Contours([planar.Circle(0.3, (0, 0.8)), planar.Circle(0.3, (0.1, 0.8))]), "must not overlap"),
-        (lambda: planar.Curve.from_points([0, 1], [0, 1]), r"points of shape \(n >= 3, 2\)"),
-        (lambda: planar.Curve.from_points([0, 1, np.nan], [0, 1, 2]), "finite points, got 1"),
-        (lambda: planar.Curve.from_points([0, 1, 1, 1], [0, 0, 0, 1]), "differ from their neighbours"),
-        (lambda: planar.Curve.from_points(*np.array([[0, 0.5], [1, 1.2], [1, 0.5], [0, 1]]).T), "must not cross"),
-        (lambda: planar.Polygon([[0, 0.5], [1, 0.5], [0.4, 0.5], [0.4, 0.9]]), "must not cross or touch itself"),
-    ],
-)
-def test_refusals(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 def test_crossings_are_found_wherever_they_are():
     angle = np.linspace(0, 2 * np.pi, 500, endpoint=False)
     wavy = (1 + 0.3 * np.cos(9 * angle))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -23,9 +23,6 @@ def slices_of(semi_axes, slices=32, around=200, seed=0):
     return ball * semi_axes, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-SPHERE = slices_of(np.array([1.0, 1.0, 1.0]), slices=8, around=20)
-
-
 def cube(per_edge=21):
     """Contacts all over the faces of the cube of side 2; on edges and corners one for each face."""
     u, v = np.meshgrid(*[np.linspace(-1, 1, per_edge)] * 2)
@@ -83,24 +80,3 @@ def test_a_poisson_surface_that_does_not_close_is_refused():
     points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
     with pytest.raises(InputError, match=r"does not close.*further axes.*auto or hull"):
         poisson(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)) + 0.01 * points)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("points", "normals", "message"),
-    [
-        (SPHERE[0][:3], SPHERE[1][:3], "3 of 3 contacts have a normal.*at least 4"),
-        (SPHERE[0], np.full_like(SPHERE[1], np.nan), "0 of 160 contacts have a normal"),
-        (np.empty((0, 3)), np.empty((0, 3)), "0 of 0 contacts"),
-        (SPHERE[0] * [0, 0, 1], SPHERE[1], "span no body"),
-        (SPHERE[0] * [1, 1, 0], SPHERE[1], "span no body"),
-        (SPHERE[0] * [1, 1, 1e-6], SPHERE[1], "lie in one plane"),
-        (SPHERE[0] * 0, SPHERE[1], "span no body"),
-        (SPHERE[0], -SPHERE[1], "point inwards.*reverse them"),
-        (SPHERE[0], SPHERE[1][:-1], r"shape \(n, 3\), got \(160, 3\) and \(159, 3\)"),
-        (SPHERE[0][:, :2], SPHERE[1][:, :2], r"shape \(n, 3\)"),
-    ],
-)
-def test_unsuitable_contacts_are_refused(method, points, normals, message):
-    with pytest.raises(InputError, match=message):
-        method(points, normals)

@@ -40,29 +40,8 @@ def test_sizes():
         assert given.dpi == (dpi or 200)
 
 
-SIZE = "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .*such as 85mm or 85x60mm, got '"
-DPI = "a whole number of dots per inch from 50 to 2400, such as 300, got"
-CAMERA = r"a camera is front, back, .* iso, or AZIMUTH,ELEVATION in degrees .*, got '"
 # Of a deviation of half the bound, in the light of the pictures.
 WITHIN = "#aec6cc"
-LIMITS = "a picture is at least 50 mm wide and 35 mm high, and at most 2540 mm, got "
-
-
-@pytest.mark.parametrize(
-    ("option", "values", "sentence"),
-    [
-        ("size", ("85", "85 60", "85x60", "x60mm", "85x60x40mm", "-85mm", "85em", "", "1mm."), SIZE),
-        ("size", ("10mm", "85x10mm", "0x0mm", "3000mm", "100px"), LIMITS),
-        ("dpi", (0, -300, 49, 2401, "fine", "", "300.5", 1e400, float("nan"), int), DPI),
-        ("dpi", (2400,), "at most 8192 pixels along a side, and this one would have 16800; choose a smaller size"),
-        ("camera", ("", "above", "30", "30,", "30,91", "361,0", "30,20,0", "30,20,1000", "nan,0", "top,,2"), CAMERA),
-    ],
-    ids=range(5),
-)
-def test_what_no_picture_can_have(option, values, sentence):
-    for value in values:
-        with pytest.raises(scan3d.InputError, match=sentence):
-            sheet(**{option: value})
 
 
 def test_cameras_have_names_or_angles():

@@ -395,21 +395,6 @@ def test_rods_that_cannot_sweep_a_hollow_body_probe_it_alone_if_they_are_straigh
         scan3d.simulate(body, scan3d.Plan(tolerance=1e-3))
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"stop_force": "2 furlongs"}, "such as 2mN"),
-        ({"stop_force": 0.7}, "far below what buckles"),
-        ({"stop_force": 1e-3, "noise": 1e-3}, "stand out of the noise"),
-        ({"known": 1.5}, "a share from 0 to 1"),
-        ({"probing": "perhaps"}, "probing must be one of auto, off, only"),
-    ],
-)
-def test_wrong_settings_of_probing_are_refused(given, words):
-    with pytest.raises(scan3d.InputError, match=words):
-        scan3d.Plan(**given)
-
-
 def test_a_stop_force_has_a_unit_or_that_of_the_rod():
     rod = RODS["uniform"]
     by_unit = scan3d.Plan(stop_force=f"{20 * rod.force_unit_N} mN").stop_force_of(rod)

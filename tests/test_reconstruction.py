@@ -211,21 +211,6 @@ def test_elastic_lines_never_enter_the_object():
         assert np.linalg.norm(points - CIRCLE.center, axis=2).min() > CIRCLE.radius - 1e-12
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(method="newton"), "closed-form, scholz-rahn, will, got 'newton'"),
-        (dict(tolerance=1.0), "tolerance must lie between 0 and 1, got 1.0"),
-        (dict(tolerance=np.nan), "tolerance must lie between 0 and 1, got nan"),
-        (dict(friction=np.inf), "friction must be one number >= 0 .*, got inf"),
-        (dict(friction=[0.1, 0.2]), "friction must be one number >= 0 or one for each"),
-    ],
-)
-def test_a_reconstruction_is_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        planar.reconstruct(*row(), **options)
-
-
 def test_wills_contact_lies_on_the_rod_that_the_reactions_bend():
     """Under friction (10) finds another arc length, and the point there must be the rod's, integrated from the clamp."""
     sweep = planar.sweep(planar.Circle(radius=0.6, center=(0.1, 1.0)), friction=0.4, samples=40)

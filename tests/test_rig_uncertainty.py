@@ -18,22 +18,6 @@ from tests.test_recording import random_recording
 TWO = ("stiffness_relative", "clamp_x_m")
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        (dict(names="clamp_x_m", covariance=[[1.0]]), r"rig: names must be names of quantities, got 'clamp_x_m'"),
-        (dict(names=("clamp_u_m",), covariance=[[1.0]]), r"rig: unknown quantities clamp_u_m; known are stiffness_rel"),
-        (dict(names=TWO, covariance=np.eye(3)), r"rig: the covariance must be 2 by 2 finite numbers.*\(3, 3\)"),
-        (dict(names=(), covariance=[], sensor=(1.0, 2.0)), r"rig: the sensor's frame must be 1 by 6 finite numbers"),
-        (dict(names=TWO, covariance=[[1.0, 0.5], [0.2, 1.0]]), r"rig: the covariance must be symmetric"),
-        (dict(names=TWO, covariance=[[1.0, 2.0], [2.0, 1.0]]), r"without negative eigenvalues"),
-    ],
-)
-def test_what_is_no_covariance_is_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        RigUncertainty(**values)
-
-
 def test_components_have_the_covariance_whatever_the_units():
     """Their squares add up to the covariance, which has entries from 1e-10 to 1e-5."""
     rig = typical()

@@ -37,24 +37,6 @@ def test_recordings_may_be_paths(recording, tmp_path):
         assert np.array_equal(scan3d.reconstruct(path).points, points)
 
 
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: scan3d.simulate("none.stl"), r"there is no mesh file none\.stl"),
-        (lambda: scan3d.simulate(3), r"the body must be a trimesh\.Trimesh, got int"),
-        (lambda: scan3d.reconstruct("none.csv"), r"can't read the recording none\.csv"),
-        (lambda: scan3d.compare("none.stl", "none.stl"), r"there is no mesh file none\.stl"),
-        (lambda: scan3d.calibrate("none.csv", 0.03), r"can't read the recording none\.csv"),
-        (lambda: scan3d.surface("log.csv"), r"a surface is made from a scan3d\.Cloud, got str; reconstruct"),
-        (lambda: scan3d.Session("sphere:50").tell("log.csv"), r"got str; scan3d\.read_recording reads a file"),
-        (lambda: scan3d.plot("egg.stl"), r"can be plotted, got a str"),
-    ],
-)
-def test_what_can_not_be_taken_is_named(call, sentence):
-    with pytest.raises(scan3d.InputError, match=sentence):
-        call()
-
-
 def test_surfaces_state_their_unit():
     cloud = scan3d.reconstruct(scan3d.simulate(CUBE, scan3d.Plan(slices=4, sweeps=4, samples=8, unit="in")))
     assert scan3d.surface(cloud, "hull").units == "in"

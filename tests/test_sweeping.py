@@ -211,24 +211,6 @@ def test_events_agree_with_the_sweep(contour):
             assert (before, after) == (Phase.TANGENTIAL, Phase.TIP)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(samples=3, base=[0.5]), "either its base positions .* and not both"),
-        (dict(samples=0), "whole number of at least 1, got 0"),
-        (dict(base=0.5), r"finite numbers of shape \(n,\), got 0.5"),
-        (dict(base=[0.4, 0.5]), "must follow the sweep: fall"),
-        (dict(base=[0.5, 0.4], direction=1), "must follow the sweep: .* rise in .x"),
-        (dict(samples=3, direction=0), "direction must be -1 or 1.*got 0"),
-        (dict(samples=3, friction=np.nan), "friction .* got nan"),
-        (dict(samples=3, friction=[0.1, 0.2]), "one for each of the 3 base positions, got 2"),
-    ],
-)
-def test_a_sweep_is_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        planar.sweep(CIRCLE, **options)
-
-
 def test_a_sweep_that_begins_before_touch_down_has_the_contacts_of_one_that_begins_there():
     """With friction per sample: samples before touch-down touch nothing, and do not end the sweep."""
     circle = planar.Circle(radius=0.5, center=(0.0, 0.9))
