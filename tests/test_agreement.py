@@ -119,28 +119,11 @@ def test_six_axes_read_as_planar_say_how_wrong_that_is(right, undiagnosed):
     assert warning.value == pytest.approx(np.median(np.abs(force[felt, 2]) / np.linalg.norm(force[felt], axis=1)))
 
 
-def test_a_planar_recording_with_six_axes_may_be_read_as_planar(egg):
-    zero = np.zeros(len(egg))
-    recording = replace(egg, force_z_N=zero, moment_x_Nm=zero, moment_y_Nm=zero)
-    assert checked(recording, scan3d.reconstruct(recording, model="planar")).contradictions == []
-
-
 @pytest.mark.parametrize("digits", [4, 6])
 def test_rounded_recordings_in_space_are_not_remarked_on(right, digits, undiagnosed):
     largest = max(np.abs(right.force_N).max(), np.abs(right.force_z_N).max())
     step = 10.0 ** (np.ceil(np.log10(largest)) - digits)
     assert remarks(changed(right, lambda f, m: (np.round(f / step) * step, np.round(m / step * 20) * step / 20))) == []
-
-
-@pytest.mark.slow
-def test_a_contradiction_withdraws_the_certificate(egg, undiagnosed):
-    analysis = analyse(FAULTS["moment 10 % too large"](egg))
-    assert analysis.warnings
-    assert np.isinf(analysis.certificate.bound)
-    assert np.isinf(analysis.certificate.at_vertices).all()
-    assert np.isinf(analysis.bounds.bound)
-    assert analysis.bounds.volume == (0.0, np.inf)
-    assert "proven" not in analysis.surface.metadata["reason"]
 
 
 @pytest.mark.slow

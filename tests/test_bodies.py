@@ -248,13 +248,6 @@ def test_it_is_asked_about_before_the_scan(tmp_path, capsys, monkeypatch):
         assert "the scan begins" in capsys.readouterr().err
 
 
-def test_read_mesh_keeps_the_surface_as_it_is(tmp_path):
-    mesh = read_mesh(save(tmp_path, letter_l(), "l.stl"))
-    assert mesh.is_watertight
-    assert (len(mesh.vertices), len(mesh.faces)) == (12, 20)
-    assert mesh.volume == pytest.approx(9)
-
-
 def relative_obj(mesh, reference):
     """The mesh as OBJ whose faces count back from the last of its vertices, each written as `reference`."""
     back = mesh.faces - len(mesh.vertices)
@@ -458,15 +451,6 @@ def test_a_soup_of_triangles_with_seams(tmp_path, shape):
     assert_sound(body)
     assert body.metadata["dent_relative"] < 1e-6
     assert body.volume == pytest.approx(mesh.volume, rel=1e-5)
-
-
-@pytest.mark.parametrize("radius", [1e-3, 1e-9, 1e9])
-def test_units_do_not_matter(tmp_path, radius):
-    sphere = trimesh.creation.icosphere(5)
-    body = load_mesh(save(tmp_path, as_mesh(sphere.vertices * radius, sphere.faces), "sphere.stl"))
-    assert_sound(body)
-    assert len(body.vertices) == len(sphere.vertices)
-    assert body.volume == pytest.approx(sphere.volume * radius**3)
 
 
 def open_meshes():

@@ -417,8 +417,7 @@ def test_a_rig_is_read_back_as_it_was(tmp_path, noisy):
 
 
 @pytest.mark.slow
-def test_reconstruct_takes_a_rig(call, tmp_path, monkeypatch, on_sphere):
-    monkeypatch.setattr("scan3d.pictures.canvas.can_render", lambda *_: False)
+def test_reconstruct_takes_a_rig(call, tmp_path, no_pictures, undiagnosed, on_sphere):
     scan3d.write_rig(on_sphere, tmp_path / "rig.toml")
     log = rigs.recorded(rigs.EXACT, **SHORT)
     scan3d.write_recording(log, tmp_path / "log.csv")

@@ -6,7 +6,7 @@ import trimesh
 from mesh_files import assert_sound, save
 from sample_bodies import MESHES
 from scipy.spatial import ConvexHull
-from shapes import as_mesh, ball, box, cube, dented, dimpled_box, inscribed_radius, letter_l, moved, pinhole, rotation
+from shapes import as_mesh, ball, box, dented, dimpled_box, inscribed_radius, letter_l, moved, pinhole, rotation
 
 import scan3d
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself, read_mesh
@@ -41,17 +41,6 @@ def dent_of(mesh):
     vertices = facets_of(mesh).vertices
     equations = ConvexHull(vertices).equations
     return -float((vertices @ equations[:, :3].T + equations[:, 3]).max(axis=1).min())
-
-
-def test_the_bound_by_edges_does_not_depend_on_the_order_of_the_faces():
-    mesh = trimesh.creation.icosphere(2)
-    mesh.vertices = mesh.vertices * [1, 0.7, 0.4] * np.where(np.arange(len(mesh.vertices)) == 9, 0.96, 1)[:, None]
-    facets, bounds = facets_of(mesh), []
-    for order in (np.arange(len(mesh.faces)), np.random.default_rng(0).permutation(len(mesh.faces))):
-        bounds.append(planes_by_edges(facets.faces[order], facets.corners[order], facets.normals[order])[1])
-    assert 1e-6 < bounds[0] < 1
-    # but for the end of each edge by which its distance is bounded from above
-    assert bounds[0] == pytest.approx(bounds[1], rel=0.03)
 
 
 @pytest.mark.parametrize("path", BODIES, ids=[path.name for path in BODIES])
@@ -117,14 +106,6 @@ def test_a_shallow_dent_is_bounded_from_above_and_not_by_much(depth):
     bound = distance_to_hull(body)
     # the dent's own depth; the argument allows for three times that of a face's middle, which lies at a third, and R / r
     assert depth * (1 - 1e-3) <= bound <= 2 * np.sqrt(3) * depth * (1 + 1e-3)
-
-
-def test_bodies_far_from_convex():
-    # the notch's edge lies 1/√2 below the hull
-    assert 1 / np.sqrt(2) <= distance_to_hull(letter_l()) < np.inf
-    assert distance_to_hull(trimesh.creation.torus(1.0, 0.4)) == np.inf  # it does not wind around its middle
-    two = trimesh.util.concatenate([cube(), cube(shift=(5.0, 0.0, 0.0))])
-    assert distance_to_hull(two) == np.inf
 
 
 @pytest.mark.parametrize("side", [1e-3, 1e-5])
@@ -218,17 +199,8 @@ def scanned():
     return scan3d.scan(letter_l(), hull=True, **SETTINGS)
 
 
-def test_the_hull_fills_dents(dimpled):
-    body = load_mesh(dimpled, hull=True)
-    assert body.is_convex
-    assert body.volume == pytest.approx(1)
-    assert body.metadata["hull"] is True
-    filled = body.metadata["filled"]
-    assert filled["depth"] == pytest.approx(DEPTH, rel=1e-3)  # the precision of the search
-    assert filled["at"] == pytest.approx([0.5 - DEPTH, 0, 0], abs=1e-6)
-    assert filled["volume_relative"] == pytest.approx(DEPTH / 3, rel=1e-6)  # a pyramid
-    assert len(mesh_itself(body).faces) == 14
-    # of faces that are turned inwards the volume is not known
+def test_of_a_hull_over_faces_that_are_turned_inwards_the_filled_volume_is_not_known(dimpled):
+    assert len(mesh_itself(load_mesh(dimpled, hull=True)).faces) == 14
     turned = judge_mesh(dimpled_box(DEPTH), hull=True)
     assert turned.volume == pytest.approx(1)
     assert turned.metadata["filled"]["volume_relative"] is None

@@ -43,14 +43,6 @@ def test_random_polytopes_against_brute_force(seeds, count, flat):
     assert result.hausdorff == pytest.approx(expected, abs=EXACT * result.diagonal)
 
 
-@pytest.mark.parametrize(
-    "shift", [(0.1, 0.0, 0.0), (0.1, -0.2, 0.0), (0.1, 0.2, 0.3), (7.0, 0.0, 0.0), (1e-7, 0.0, 0.0)]
-)
-def test_translation_of_a_body_is_its_length(shift):
-    result = compare(cube(1.0, shift), cube(1.0))
-    assert result.hausdorff == pytest.approx(np.linalg.norm(shift), rel=1e-8)
-
-
 @pytest.mark.parametrize(("depth", "exact"), [(0.0, True), (1e-12, True), (1e-7, False), (1e-3, False), (0.3, False)])
 def test_dents_deeper_than_rounding_count(depth, exact):
     result = certified(compare(dented(depth), cube()))

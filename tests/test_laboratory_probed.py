@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import trimesh
 from raw_tables import write
 
 import scan3d
@@ -158,29 +157,3 @@ def test_sweeps_alone_have_no_probings(tmp_path):
         found = imported(tmp_path, columns_of("sweeps"), map_of(*told))
         assert found.summary.probings == 0
         assert not found.recording.in_probings.any()
-
-
-@pytest.mark.slow
-def test_the_loop_of_a_rig_that_probes_closes(tmp_path, capsys):
-    from scan3d.cli import main
-
-    ring = trimesh.creation.annulus(r_min=8, r_max=11, height=12, sections=24)
-    ring.export(tmp_path / "ring.stl")
-    (tmp_path / "faults.toml").write_text("rate_hz = 100\n[bias]\nfraction = 0.05\n[noise]\nfraction = 0.002\n")
-    around, known = ["--around", "cylinder:26x14"], []
-    run = lambda *words: main([str(tmp_path / word) if "." in word and "=" not in word else word for word in words])  # noqa: E731
-    assert run("plan", *around, "--probing", "--speed", "200", "--out", "poses0.csv") == 0
-    for k in range(3):
-        after = ["--after", f"rec{k - 1}.csv"] if k else []
-        assert (
-            run("simulate", "ring.stl", "--poses", f"poses{k}.csv", "--faults", "faults.toml", "--out", f"raw{k}.csv")
-            == 0
-        )
-        assert run("import", f"raw{k}.csv", "--map", f"raw{k}_map.toml", *after, "--out", f"rec{k}.csv") == 0
-        assert run("reconstruct", f"rec{k}.csv", "--out", "out.d", "--overwrite") == 0
-        report = scan3d.open(tmp_path / "out.d").report
-        known.append(report["coverage"]["known"])
-        assert run("next", "out.d", *around, "--speed", "200", "--out", f"poses{k + 1}.csv") == 0
-    assert known[0] < known[1] < known[2]
-    assert report["counts"]["probings"] > 1000
-    assert "probings" in capsys.readouterr().out

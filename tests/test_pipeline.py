@@ -71,15 +71,6 @@ def test_without_the_truth_there_is_no_comparison(scan):
     assert "compare" in with_truth.seconds
 
 
-def test_under_noise_the_bounds_are_those_of_the_contacts_own_uncertainty():
-    _, recording = simulated(noise=1e-4)
-    analysis = pipeline.analyse(recording, method="hull")
-    assert analysis.cloud.noise > 0
-    assert analysis.bounds.confidence == 0.95
-    assert analysis.bounds.bound == scan3d.surfaces.enclosure(analysis.cloud).bound
-    assert analysis.certificate.bound > scan3d.surfaces.enclosure(analysis.cloud, margin=0.0).bound
-
-
 PICTURES = {"cloud.png", "surface.png"}
 
 

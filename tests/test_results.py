@@ -15,7 +15,6 @@ from scan3d.cli import main
 from scan3d.files.text import to_json
 from scan3d.pictures import canvas
 from scan3d.settings import settings
-from scan3d.shown import described
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 
@@ -34,11 +33,6 @@ def contents(folder):
     report = json.loads(found.pop("report.json"))
     del report["timings_s"]
     return found, report
-
-
-def test_the_public_names_are_listed():
-    assert {"scan", "open", "batch", "Session", "__version__"} <= set(dir(scan3d))
-    assert set(scan3d.__all__) <= set(dir(scan3d))
 
 
 @pytest.mark.slow
@@ -230,8 +224,3 @@ def test_the_rows_hold_the_numbers_of_the_results(result):
 def test_unknown_bounds_print():
     unknown = Certificate(np.inf, np.array([np.inf, np.inf]))
     assert repr(unknown) == "Certificate(bound=inf, at_vertices: unknown at 0 of 2)"
-
-
-def test_long_lines_end_with_dots():
-    assert described("Title", [("name", "x" * 200)]).splitlines()[1].endswith("x...")
-    assert len(described("Title", [("name", "x" * 200)]).splitlines()[1]) == 120

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from small_scans import CUBE, EGG, undrawn
+from small_scans import CUBE, undrawn
 
 import scan3d
 from scan3d.files.shapes import SURFACE_ENDINGS, export
@@ -169,7 +169,3 @@ def test_what_can_not_be_loaded(result, tmp_path):
         scan3d.save(thing, tmp_path / name)
         with pytest.raises(scan3d.InputError, match=f"{name} is in mm, as it states itself, and not in in"):
             scan3d.load(tmp_path / name, unit="in")
-
-
-def test_other_meshes_are_loaded_as_they_are():
-    assert len(scan3d.load(EGG).faces) == len(scan3d.load_mesh(EGG).faces)
