@@ -82,7 +82,6 @@ def by_support(first, second):
 
 
 def certified(result):
-    """The bounds are in order, and as close as promised."""
     assert result.hausdorff == result.lower == max(result.surface_to_mesh, result.mesh_to_surface)
     assert result.upper == max(result.surface_to_mesh_upper, result.mesh_to_surface_upper)
     for lower, upper in (

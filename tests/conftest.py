@@ -53,7 +53,6 @@ def pytest_configure(config):
 
 
 def chromium():
-    """The path of a Chromium, or None."""
     return next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None)
 
 
@@ -97,13 +96,11 @@ def pytest_terminal_summary(terminalreporter, config):
 
 @pytest.fixture(scope="session")
 def browser_path():
-    """The path of a Chromium."""
     return chromium()
 
 
 @pytest.fixture(scope="module")
 def egg():
-    """A small scan of an egg, as a scene."""
     from small_scans import EGG, scanned
 
     return scanned(EGG)
@@ -111,7 +108,6 @@ def egg():
 
 @pytest.fixture(scope="module")
 def cube():
-    """A small scan of a cube, as a scene."""
     from small_scans import CUBE, scanned
 
     return scanned(CUBE)

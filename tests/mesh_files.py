@@ -32,7 +32,6 @@ def assert_sound(body):
 
 
 def error(path, **options):
-    """The message with which a file is refused, a single sentence with the name of the file."""
     with pytest.raises(InputError) as caught:
         load_mesh(path, **options)
     message = str(caught.value)

@@ -175,7 +175,6 @@ def _turned(faces):
 
 
 def cell(what, right):
-    """The text of a cell of the table."""
     if not right:
         return "–"
     spatial = [name for name in right if name in ("points", "normals", "faces")]
@@ -185,7 +184,6 @@ def cell(what, right):
 
 
 def table():
-    """The table of docs/files.md, as lines; of the programs that are installed."""
     with tempfile.TemporaryDirectory() as folder:
         example(Path(folder))
         columns = [understood(program, Path(folder)) for program in HERE]

@@ -103,7 +103,6 @@ def table(log, rig, euler="xyz"):
 
 
 def write(path, columns, delimiter=",", decimal="."):
-    """Write a table as text."""
     lines = [delimiter.join(columns)]
     for row in zip(*(column.tolist() for column in columns.values()), strict=True):
         cells = (cell if isinstance(cell, str) else repr(cell).replace(".", decimal) for cell in row)

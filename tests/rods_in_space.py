@@ -26,7 +26,6 @@ FRICTION_03 = """
 
 
 def table(text):
-    """The numbers of a table."""
     return np.array([line.split() for line in text.strip().splitlines()], dtype=float)
 
 
@@ -100,7 +99,6 @@ def follows(swept):
 
 
 def random_ellipsoid(seed):
-    """An ellipsoid turned at random about the origin: the body, its semi-axes, and its axes as rows."""
     rng = np.random.default_rng(seed)
     semi_axes, axes = rng.uniform(0.25, 0.55, 3), turned(rng)
     return Ellipsoid(semi_axes, axes=axes), semi_axes, axes
@@ -117,7 +115,6 @@ def cuboid(radius, rng):
 
 
 def turned(rng):
-    """A random rotation matrix."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q if np.linalg.det(q) > 0 else -q

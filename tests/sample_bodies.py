@@ -39,7 +39,6 @@ def random_body(seed):
 
 
 def rotated(mesh, seed=1):
-    """The mesh itself, rotated at random."""
     matrix = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).uniform(size=3))
     mesh.apply_transform(matrix)
     return mesh

@@ -119,12 +119,10 @@ def unit(vectors):
 
 
 def directions(count, seed=3):
-    """Unit vectors (count, 3)."""
     return unit(np.random.default_rng(seed).standard_normal((count, 3)))
 
 
 def spread(mesh, steps):
-    """Points (m, 3) all over a mesh: the nodes of a grid on each face."""
     i, j = np.mgrid[: steps + 1, : steps + 1].reshape(2, -1) / steps
     i, j = i[i + j <= 1 + 1e-9], j[i + j <= 1 + 1e-9]
     return np.einsum("gk,mkx->mgx", np.column_stack([1 - i - j, i, j]), mesh.triangles).reshape(-1, 3)

@@ -75,7 +75,6 @@ def any_rod():
 
 
 def any_rod_in_space():
-    """The contacts of `any_rod` by the spatial model."""
     recording = six_axis(any_rod().recording)
     return of_cloud(scan3d.reconstruct(recording, model="spatial"), name="egg", recording=recording)
 

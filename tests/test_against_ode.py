@@ -30,8 +30,6 @@ def integrate(x0, f, alpha, m0z, s1):
 
 
 class Equilibria(NamedTuple):
-    """Contacts (n,) and their states."""
-
     slope: np.ndarray
     zeta: np.ndarray
     point: np.ndarray
@@ -57,7 +55,6 @@ class Equilibria(NamedTuple):
 
 @pytest.fixture(scope="module")
 def random_equilibria():
-    """10,000 equilibria, 5,000 of each kind of contact."""
     rng = np.random.default_rng(20)
     count = 40_000
     slope = rng.uniform(-np.pi / 2, np.pi / 2, count)

@@ -169,7 +169,6 @@ def test_the_surface_ends_halfway_to_the_next_slice_without_contact():
 
 @pytest.fixture(scope="module")
 def parts():
-    """Recordings and contacts of the letter's first sweeps, and of all of them."""
     flat = letter_l()
     flat.vertices *= (1, 1, 0.1)
     recording = scan3d.simulate(flat, scan3d.Plan(slices=2, samples=24, probing="off"))

@@ -15,7 +15,6 @@ STANDARD = sys.stdlib_module_names
 
 @functools.cache
 def loaded(statement):
-    """Names of the modules that a fresh interpreter has loaded after the statement."""
     code = f"import sys; {statement}; print(*sys.modules)"
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 

@@ -66,7 +66,6 @@ def call(capsys, monkeypatch):
 
 
 def rows_of(folder, *, times=False):
-    """The rows of a summary, without the times unless asked for."""
     with open(folder / "summary.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
@@ -197,7 +196,6 @@ def stamps(folder):
 
 @pytest.fixture
 def again(serial, tmp_path):
-    """A copy of a batch's folder, and the meshes."""
     shutil.copytree(serial[0], tmp_path / "out")
     return tmp_path / "out", [*THREE, serial[0].parent / "bad.stl"]
 
@@ -239,8 +237,6 @@ def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_compu
 
 
 class Fails(Executor):
-    """An executor whose workers die."""
-
     def submit(self, fn, /, *args, **kwargs):
         future = Future()
         future.set_exception(RuntimeError("the worker\nis gone"))

@@ -32,7 +32,6 @@ ROD = Rod(0.05, 1e-4, bead_diameter_m=2e-3 * BEAD)
 
 
 def signed(mesh, points):
-    """Distances from a mesh, negative inside."""
     return np.array(pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"])
 
 

@@ -126,7 +126,6 @@ def test_float32_far_from_the_origin_is_named_as_the_cause(tmp_path, shape, endi
 
 
 def written_glb(path, points, changed=lambda tree: None, more=b""):
-    """A GLB of the box's triangles with other points, whose description is changed and whose data go on."""
     faces = box().faces.astype("<u2")
     data = np.asarray(points).tobytes() + faces.tobytes() + more
     size = len(data) - faces.nbytes - len(more)

@@ -64,7 +64,6 @@ def straight(request, monkeypatch):
 
 @pytest.fixture(params=["sphere", pytest.param("plane", marks=pytest.mark.slow)])
 def noisy(request):
-    """Touches under noise, the calibration by them, and the kind of their reference."""
     return calibrated(request.param)
 
 
@@ -174,7 +173,6 @@ def test_a_given_pose_noise_is_tested():
 
 
 def added(recording, force, moment):
-    """The recording with what is added to its reactions (n, 3)."""
     before = recording.wrench()
     return rigs.with_wrench(recording, before[0] + force, before[1] + moment)
 
@@ -372,7 +370,6 @@ def test_rows_that_come_and_go_do_not_spoil_a_fit():
 
 @pytest.fixture(scope="module")
 def touches(tmp_path_factory):
-    """A recording of touches, in files."""
     path = tmp_path_factory.mktemp("touches") / "touches.csv"
     scan3d.write_recording(rigs.recorded(), path)
     return path

@@ -18,8 +18,6 @@ from tests.rigs import CENTRE, DIAMETER, ROD, Truth, logged
 
 @dataclass(frozen=True)
 class Shaped(Truth):
-    """A rod that is tapered and curved, and its rig."""
-
     tip: float = 1.0
     curvature: tuple = (0.0, 0.0)
     """About the clamp's z and x axes, in the inverse of rod lengths."""

@@ -136,7 +136,6 @@ def stack_of(heights, support):
 
 
 def round_stack(profile, heights):
-    """Slices of a body of revolution with the radius `profile(z)`."""
     return stack_of(np.array(heights, dtype=float), lambda angle, z: np.full(len(angle), profile(z)))
 
 

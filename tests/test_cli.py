@@ -34,7 +34,6 @@ FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")
 
 
 def tree(folder):
-    """The files and folders in a folder, with their contents."""
     return {p.relative_to(folder): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
 
 
@@ -46,7 +45,6 @@ def assert_sentence(stderr, sentence):
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    """The folder of a scan of the egg, and what the command printed with --json."""
     out, printed = tmp_path_factory.mktemp("scanned") / "out", io.StringIO()
     with undrawn(), contextlib.redirect_stdout(printed):
         assert main(["scan", str(EGG), "--out", str(out), *FEW, "--friction", "0.2", "--json"]) == 0

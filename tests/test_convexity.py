@@ -189,13 +189,11 @@ def cube_with_a_dent():
 
 @pytest.fixture(scope="module")
 def dimpled(tmp_path_factory):
-    """The path of a cube with a dent."""
     return save(tmp_path_factory.mktemp("bodies"), cube_with_a_dent(), "dimpled.off")
 
 
 @pytest.fixture(scope="module")
 def scanned():
-    """An L, of which the convex hull is scanned."""
     return scan3d.scan(letter_l(), hull=True, **SETTINGS)
 
 

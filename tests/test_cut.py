@@ -24,7 +24,6 @@ def shell(points):
 
 
 def two_balls(points):
-    """Distance (...) from two balls that overlap."""
     return np.minimum(*(np.linalg.norm(points - [x, 0, 0], axis=-1) - 2 for x in (-1.6, 1.6)))
 
 

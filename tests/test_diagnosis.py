@@ -41,7 +41,6 @@ def cube_in_space():
 
 
 def diagnosed(recording):
-    """What the check of a recording, or that of one without contacts, names."""
     try:
         cloud = scan3d.reconstruct(recording)
     except InputError:

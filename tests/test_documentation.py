@@ -38,7 +38,6 @@ def name_of(page: Path) -> str:
 
 
 def blocks(text: str, language: str) -> list[str]:
-    """The fenced blocks of a page in a language."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -46,7 +45,6 @@ CODE = [page for page in PAGES if blocks(page.read_text("utf-8"), "python")]
 
 
 def prose(text: str) -> str:
-    """A page without its fenced blocks and without text in backticks."""
     return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL))
 
 

@@ -27,8 +27,6 @@ def renderer(monkeypatch):
 
 
 class DrawnHere(contextlib.nullcontext):
-    """Takes the place of `drawing.Drawing`, and draws in this process."""
-
     def begin(self, *what):
         self.finish = lambda: drawing._pictures(*what)
 

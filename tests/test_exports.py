@@ -36,7 +36,6 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A cloud and a surface in mm."""
     place = tmp_path_factory.mktemp("scan")
     other_programs.example(place)
     return place
@@ -58,7 +57,6 @@ def written(folder, to, what=None):
 
 
 def with_rows(shape, path, unit="mm", **columns):
-    """The shape's PLY with some columns replaced."""
     rows = shape.rows.copy()
     for name, values in columns.items():
         rows[name] = values
@@ -188,7 +186,6 @@ def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):
 
 
 def tree_of(path):
-    """The JSON of a GLB, and its accessors as arrays."""
     data = path.read_bytes()
     length = struct.unpack("<I", data[12:16])[0]
     tree, binary = json.loads(data[20 : 20 + length]), data[28 + length :]

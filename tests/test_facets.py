@@ -25,7 +25,6 @@ def polytope(vertices, seed):
 
 
 def planes_of(body):
-    """The distinct planes (k, 4) of a body."""
     planes = np.column_stack([body.face_normals, (body.face_normals * body.triangles[:, 0]).sum(axis=1)])
     return planes[np.unique(np.round(planes, 6), axis=0, return_index=True)[1]]
 

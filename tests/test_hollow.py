@@ -112,7 +112,6 @@ def test_faces_are_turned_alike():
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    """A scan of an L, and its folder."""
     folder = tmp_path_factory.mktemp("scans") / "out"
     with undrawn():
         return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4", probing="off"), folder

@@ -22,7 +22,6 @@ SENSOR = Frame.of(np.zeros(3), np.zeros(3))
 
 
 def touches(random, count, space):
-    """Places (n, 3) of touches in m."""
     along, aside = random.uniform(0.4, 0.9, count), random.uniform(0.08, 0.2, count)
     angle = random.uniform(0, 2 * np.pi, count) if space else np.pi * random.integers(0, 2, count)
     return ROD.length_m * np.stack([aside * np.cos(angle), along, space * aside * np.sin(angle)], axis=1)

@@ -29,8 +29,6 @@ def recording():
 
 
 class Bag:
-    """A bag of either generation that is being written."""
-
     def __init__(self, path, generation):
         self.first = generation == 1
         self.store = get_typestore(Stores.ROS1_NOETIC if self.first else Stores.ROS2_HUMBLE)

@@ -29,7 +29,6 @@ def recording():
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, recording):
-    """A table and its map."""
     folder = tmp_path_factory.mktemp("files")
     write(folder / "raw.csv", table(track(recording), RIG))
     (folder / "rig.toml").write_text(to_toml(map_of(recording.rod, RIG)))
@@ -38,7 +37,6 @@ def files(tmp_path_factory, recording):
 
 @pytest.fixture
 def place(tmp_path, files, monkeypatch):
-    """A folder with both, which is the current one."""
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -30,7 +30,6 @@ def planar():
 
 @pytest.fixture(scope="module")
 def longer():
-    """As many rows as strokes, stretches in the air and filters need."""
     return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=3, sweeps=3, samples=32))
 
 

@@ -27,7 +27,6 @@ pytestmark = pytest.mark.slow
 
 
 def a_map(**sections):
-    """The map of the table."""
     made = si_map(rigs.ROD, tare={"air": "auto"}, **sections)
     made["columns"]["time"], made["units"]["time"] = "t", "s"
     return made
@@ -43,7 +42,6 @@ def true_frames():
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    """The log of a rig that touches a sphere."""
     recording = rigs.recorded(TRUTH, samples=60)
     columns = [recording.sweep, recording.position_m, recording.quaternion, *recording.wrench()]
     path = tmp_path_factory.mktemp("log") / "log.csv"

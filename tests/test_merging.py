@@ -45,7 +45,6 @@ def written(surface, folder):
 
 
 def check_readers(surface, folder, endings=(".ply", ".stl", ".obj", ".glb", ".vtp")):
-    """What trimesh and pyvista read by default is closed and has the volume of the surface."""
     path = written(surface, folder)
     for ending in endings:
         file = path if ending == ".ply" else folder / f"exported{ending}"

@@ -22,7 +22,6 @@ SCANS = {
 
 
 def whole(name):
-    """A recording, and its body."""
     of, settings, _ = SCANS[name]
     if of is None:
         return recorded(diameter=0.01, directions=1, heights=3, samples=12)[0], None
@@ -31,7 +30,6 @@ def whole(name):
 
 
 def thin(recording, kept):
-    """The rows of the recording of one sweep or of one slice, or those of one contact."""
     rows = scan3d.reconstruct(recording).row
     chosen = rows[len(rows) // 2]
     sweep, height = recording.sweep == recording.sweep[chosen], recording.position_m[:, 2]

@@ -61,7 +61,6 @@ class Reader(HTMLParser):
 
 
 def embedded(picture):
-    """The picture in an <img>, as an array."""
     kind, _, data = picture["src"].partition(",")
     assert kind == "data:image/png;base64"
     with Image.open(io.BytesIO(base64.b64decode(data))) as image:

@@ -30,7 +30,6 @@ def left():
 
 
 def columns(sweep, si=False):
-    """The table (n, 4) of a sweep."""
     rod = parse_rod(ROD)
     units = [rod.length_m, rod.force_unit_N, rod.force_unit_N, rod.moment_unit_Nm] if si else [1, 1, 1, 1]
     return np.column_stack(sweep.reactions) * units

@@ -39,7 +39,6 @@ def ellipsoid(semi_axes):
 
 
 def check_well_made(mesh):
-    """No unused vertex, no duplicate face, no face without area, and one winding, outwards."""
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
     assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == len(mesh.faces)
     assert mesh.area_faces.min() > 0

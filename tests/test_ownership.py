@@ -23,7 +23,6 @@ NEVER = "is the {} that this run reads, which is never overwritten; choose anoth
 
 @pytest.fixture
 def folder(folder, tmp_path, monkeypatch, no_pictures):
-    """A copy of a scan's folder in the current one, which can be changed."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(folder, tmp_path / "out")
     shutil.copy(EGG, tmp_path / "egg.stl")

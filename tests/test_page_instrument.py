@@ -20,7 +20,6 @@ NUMBER = r"[-−]?[\d.,]*\d(?:e[-−]?\d+)?"
 
 @pytest.fixture(scope="module")
 def browser(browser_path, cube, tmp_path_factory):
-    """One browser, and the folder of its page."""
     folder = tmp_path_factory.mktemp("page")
     (folder / "page.html").write_bytes(page(cube))
     tab = Tab(browser_path, folder / "profile")
@@ -50,7 +49,6 @@ def reload(tab):
 
 @pytest.fixture
 def shows(browser, cube):
-    """A function that shows another scene in the browser."""
     tab, folder = browser
 
     def show(scene):
@@ -63,7 +61,6 @@ def shows(browser, cube):
 
 
 def place_of(tab, selector):
-    """The middle of an element, scrolled into view."""
     script = f"""(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: "nearest"}});
       const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }})()"""
     return tab.run(script)
@@ -99,13 +96,11 @@ def reactions_in(text):
 
 
 def of_contact(scene, contact):
-    """The reactions at a contact, which the page states."""
     row = int(scene.column("row")[contact])
     return [*scene.recording.force_N[row], scene.recording.moment_Nm[row]]
 
 
 def differing(image, other):
-    """The share of pixels that differ."""
     return (np.abs(image - other).max(axis=2) > 20).mean()
 
 

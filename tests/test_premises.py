@@ -41,7 +41,6 @@ def relative_error(recording):
 
 
 def tapered(part):
-    """The rod as a cone whose diameter at the tip is smaller by a part."""
     table = [(s * ROD.length_m, (1 - part * s) ** 4 * ROD.bending_stiffness_Nm2) for s in np.linspace(0, 1, 11)]
     return replace(ROD, bending_stiffness_Nm2=table)
 

@@ -46,7 +46,6 @@ def _shift(x, y, z):
 
 
 def _brute_force(mesh, start, along):
-    """The nearest crossing of each line with each face, one by one (Möller and Trumbore, 1997)."""
     a, b, c = mesh.triangles.transpose(1, 0, 2)
     across = np.cross(along, c - a)
     scale = ((b - a) * across).sum(axis=1)
@@ -180,7 +179,6 @@ def test_contacts_of_probings_lie_on_the_body_and_their_lines_outside(name, mode
 
 
 def _signed(mesh, points):
-    """Distances from a mesh, negative inside."""
     return np.array(pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"])
 
 

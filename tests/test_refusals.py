@@ -43,7 +43,6 @@ def each(make, name, words, *values):
 
 
 def recording(field, change):
-    """A recording whose field is changed."""
     made = scan3d.simulate(box(20, 30, 40), scan3d.Plan(slices=2, sweeps=2, samples=6))
     return dataclasses.replace(made, **{field: change(getattr(made, field))})
 
@@ -340,14 +339,12 @@ def log(table, toml=TOML):
 
 
 def with_cell(column, value):
-    """A table of which the third line has another value in a column."""
     values = ROW.split(",")
     values[HEADER.split(",").index(column)] = value
     return log(f"{HEADER}\n{ROW}\n{','.join(values)}\n")
 
 
 def of_six(*given):
-    """A table with some of the columns of six axes."""
     return log(f"{HEADER},{','.join(given)}\n{ROW}{',1' * len(given)}\n")
 
 

@@ -16,13 +16,11 @@ from tests.robustness.shot_rods import with_noise
 
 
 def contacts(points, sd):
-    """Contacts with equal standard deviations in all directions."""
     entries = np.tile(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * sd**2, (len(points), 1))
     return Contacts(points, entries, np.zeros(len(points)))
 
 
 def on_box(count, extents, chance):
-    """Points (n, 3) on the faces of a box about the origin, and their normals."""
     face = chance.integers(0, 6, count)
     points = chance.uniform(-0.5, 0.5, (count, 3)) * extents
     normals = np.concatenate([np.eye(3), -np.eye(3)])[face]

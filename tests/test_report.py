@@ -25,7 +25,6 @@ def turned_box():
 
 @pytest.fixture(scope="module")
 def exact():
-    """The recording of the box in a few slices, without noise."""
     return scan3d.simulate(turned_box(), scan3d.Plan(slices=12, samples=24, sweeps=8))
 
 

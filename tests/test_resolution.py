@@ -135,13 +135,11 @@ def scanned(model, noise):
 
 
 def jittering(recording, seed):
-    """The recording with poses that are off by white noise, and that say so."""
     noise = SD_M * np.random.default_rng(seed).normal(size=recording.position_m.shape)
     return dataclasses.replace(recording, position_m=recording.position_m + noise, noise_pose_m=SD_M)
 
 
 def places(recording):
-    """The contacts of a recording before normals are sought."""
     return without_normals(recording, readings(recording)) if recording.six_axis else scan3d.reconstruct(recording)
 
 

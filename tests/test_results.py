@@ -21,14 +21,12 @@ pytestmark = pytest.mark.usefixtures("no_pictures")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A scan of an egg in a folder, and its result."""
     folder = tmp_path_factory.mktemp("scans") / "out"
     with undrawn():
         return folder, scan3d.scan(EGG, folder, **SETTINGS)
 
 
 def contents(folder):
-    """The files in a folder; of the report without the times."""
     found = {path.name: path.read_bytes() for path in folder.iterdir()}
     report = json.loads(found.pop("report.json"))
     del report["timings_s"]
@@ -127,7 +125,6 @@ def test_a_mesh_of_trimesh_is_judged_and_stored(tmp_path):
 
 @pytest.fixture
 def copy(made, tmp_path):
-    """A copy of the folder of a scan, which a test may change."""
     shutil.copytree(made[0], tmp_path / "copy")
     return tmp_path / "copy"
 

@@ -27,14 +27,12 @@ def egg():
 
 @pytest.fixture(scope="module")
 def flat(egg):
-    """Exact touches in slices."""
     recording = scan3d.simulate(egg, scan3d.Plan(slices=16, friction=0.3, samples=24))
     return dataclasses.replace(recording, table_m=egg.bounds[0, 2] / 1000)
 
 
 @pytest.fixture(scope="module")
 def space():
-    """Exact touches by a rod in space."""
     return recorded(0.3, directions=6, heights=7, samples=40)[0]
 
 
@@ -46,7 +44,6 @@ def with_rig(recording, rig, seed=None):
 
 
 def one_off(recording, rig, k):
-    """The recording as a rig with one of the independent errors gives it."""
     return displaced(recording, rig.components()[:, k], rig.sensor)
 
 

@@ -103,7 +103,6 @@ def _unit(rig, name):
 
 
 def _moved(rig, name, step):
-    """A calibration with one of its quantities moved."""
     if name.startswith("bending"):
         return dataclasses.replace(
             rig, rod=dataclasses.replace(rig.rod, bending_stiffness_Nm2=rig.rod.bending_stiffness_Nm2 * (1 + step))

@@ -45,7 +45,6 @@ def test_odd_files_and_options(cases, step):
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """The right files that the fuzzer changes."""
     folder = tmp_path_factory.mktemp("source")
     fuzz.warm()
     fuzz.prepare(folder)

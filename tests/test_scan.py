@@ -146,7 +146,6 @@ def test_the_same_contacts_from_other_reactions():
 
 
 def run(*arguments, **environment):
-    """The installed command in a separate process."""
     command = Path(sys.executable).with_name("scan3d")
     return subprocess.run(
         [command, *map(str, arguments)], env={**os.environ, **environment}, capture_output=True, text=True, check=False

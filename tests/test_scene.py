@@ -171,7 +171,6 @@ def test_paths_of_contacts_are_broken_where_the_rod_leaves_the_body(ellipsoid):
 
 
 def check_lengths(sweep, scene):
-    """The rod has its length, and starts along the clamp's y axis."""
     along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.rest)]
     assert sum(along) == pytest.approx(np.full(len(sweep.base), 1e3 * scene.recording.rod.length_m), rel=1e-6)
     start = sweep.curved[:, 1] - sweep.curved[:, 0]

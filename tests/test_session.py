@@ -183,7 +183,6 @@ def test_further_poses_follow_the_frames_of_the_recording_above_the_floor(egg, a
 
 
 def moved_by(recording, turn, shift):
-    """The recording in another frame of the world; shift in metres."""
     turned = Rotation.from_rotvec(turn)
     whole = turned * Rotation.from_quat(recording.quaternion, scalar_first=True)
     return replace(

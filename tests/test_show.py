@@ -22,7 +22,6 @@ _LIBRARIES = ("libEGL.so.1", "libEGL.so", "libGL.so.1", "libGL.so", "libOpenGL.s
 
 
 def headless(**more):
-    """The environment of this process without a display, and without settings of VTK."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("DISPLAY", "WAYLAND", "VTK_"))}
     return {**kept, **more}
 
@@ -44,7 +43,6 @@ LANES = (pytest.mark.slow, pytest.mark.trust)
 
 @pytest.fixture
 def shown(folder, call):
-    """A function that shows a folder: (exit code, stdout, stderr)."""
     return lambda *options: call("show", folder, *options)
 
 

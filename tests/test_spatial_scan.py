@@ -20,7 +20,6 @@ def cube():
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    """The folder of a scan with all rounds of aimed sweeps."""
     out = tmp_path_factory.mktemp("space") / "out"
     few = ["--slices", "2", "--sweeps", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull", "--quiet"]
     with undrawn():

@@ -56,7 +56,6 @@ def past_ellipsoid(seed, friction, bow=0.0):
 
 
 def past_cuboid(radius, friction):
-    """A fattened cuboid turned askew."""
     rng = np.random.default_rng(5)
     body, turn = cuboid(radius, rng)
     position, clamps = random_paths(body, 40, 48, rng)
@@ -263,7 +262,6 @@ def same(result, other, point, vectors=1e-7):
 
 @pytest.fixture(scope="module", params=[pytest.param(0.0, marks=pytest.mark.trust), 0.3])
 def resting(request):
-    """A body with its axes, paths past it, the friction, and the sweeps."""
     body, semi_axes, axes = random_ellipsoid(1)
     position, clamps = random_paths(body, 30, 50, np.random.default_rng(11))
     return semi_axes, axes, position, clamps, request.param, sweep(body, position, clamps, request.param)

@@ -103,7 +103,6 @@ def test_a_body_stands_on_its_table(table):
 
 
 def noisy(count, sd, seed):
-    """Contacts (n, 3) of an ellipsoid with noise along the normals (n, 3), which are returned as well."""
     normals = directions(count, seed)
     noise = sd * np.random.default_rng(seed + 100).standard_normal(count)
     return ellipsoid((9.0, 6.0, 5.0), normals) + noise[:, None] * normals, normals

@@ -22,7 +22,6 @@ ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 
 
 def body(seed):
-    """A polyhedron that stands on the table."""
     return standing(ball(seed, 16, np.array([20.0, 16.0, 22.0])))
 
 

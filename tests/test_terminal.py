@@ -61,7 +61,6 @@ def test_key_figures_are_bold_only_where_that_is_supported_and_wanted(
 
 
 def shown(monkeypatch, *arguments, stream=None):
-    """What a command writes to stderr, without control sequences."""
     stream = Stream() if stream is None else stream
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys, "stderr", stream)

@@ -9,7 +9,6 @@ CIRCLE = planar.Circle(0.9, (0.0, 1.3))
 
 
 def reactions(friction, direction=-1, samples=60):
-    """Reactions (3, n) of a sweep past the paper's circle, from light touches to snap-off."""
     sweep = planar.sweep(CIRCLE, friction=friction, samples=samples)
     rows = np.hypot(sweep.f0x, sweep.f0y) > 1e-3
     mirrored = -direction

@@ -169,7 +169,6 @@ def contents(place):
 
 
 def seen(place):
-    """The files of the result that a reader sees, who has checked that they belong to the report."""
     report = read_report(place)
     check_belongs(place, report, RESULTS)
     return {name: locate(place / name).read_bytes() for name in report.get("files", ()) if name != "report.json"}

@@ -23,7 +23,6 @@ def is_alive(pid):
 
 
 def gone(pid):
-    """Whether a process has ended, or ends soon."""
     end = time.monotonic() + 20
     while is_alive(pid) and time.monotonic() < end:
         time.sleep(0.05)

@@ -23,7 +23,6 @@ def scaled(force_x=1.0, force_y=1.0, moment=1.0):
 
 
 def turned(degrees):
-    """The sensor turned about the normal of the slice."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return lambda r: replace(r, force_N=r.force_N @ np.array([[c, s], [-s, c]]))
 
@@ -70,7 +69,6 @@ def stuck(rows):
 
 
 def interleaved(r):
-    """Every other row of the two halves exchanged."""
     other = np.arange(len(r))
     half = len(r) // 2
     first = np.arange(0, half, 2)
@@ -79,7 +77,6 @@ def interleaved(r):
 
 
 def shuffled(r):
-    """The wrenches of the sweeps assigned to other sweeps."""
     sweeps = np.unique(r.sweep)
     order = np.concatenate(
         [np.flatnonzero(r.sweep == number) for number in np.random.default_rng(1).permutation(sweeps)]
