@@ -61,12 +61,6 @@ def with_cell(line, column, text):
     return rows
 
 
-def column(name, values):
-    table = log()
-    table[:, NAMES.index(name)] = values(table[:, NAMES.index(name)]) if callable(values) else values
-    return lines(table)
-
-
 def semicolons():
     return [lines()[0].replace(",", ";"), *(line.replace(",", ";").replace(".", ",") for line in lines()[1:])]
 
@@ -77,73 +71,61 @@ def backwards():
     return rows
 
 
+UNITS = "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm"
+
+
+def scaled(names, factor):
+    table = log()
+    table[:, [NAMES.index(name) for name in names]] *= factor
+    return lines(table)
+
+
 @pytest.mark.parametrize(
-    ("rows", "sentence"),
+    ("rows", "words"),
     [
         (with_cell(7, "Fx", "o.5"), r"log\.csv: line 7 has 'o\.5' in column 'Fx', which is no number; correct the cell"),
         (with_cell(7, "Fx", ""), r"line 7 has no value in column 'Fx'.*1 of 70 rows; .*missing = \"drop\" under \[table\]"),
         ([*lines(), "0.7,1,2"], r"log\.csv: line 72 has 3 values, expected 14; it ends in column 3: is it cut off\?"),
-        (
-            [lines()[0], "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]],
-            r"log\.csv: line 2 has 's' in column 1 \(t\), where data are expected: a second header line; .*units_row = true",
-        ),
-        (
-            [lines()[0], lines()[0], *lines()[1:]],
-            r"line 2 has 't' in column 1 \(t\).*a second header line; .*else header = 2",
-        ),
+        ([lines()[0], UNITS, *lines()[1:]], r"line 2 has 's' in column 1 \(t\), .*a second header line; .*units_row = true"),
+        ([lines()[0], *lines()], r"line 2 has 't' in column 1 \(t\).*a second header line; .*else header = 2"),
         (semicolons(), r"log\.csv: line 2 has '20,0' in column 'x', a decimal comma; write decimal = \",\" under \[table\]"),
-        (
-            [lines()[0], *(line.replace(".", ",") for line in lines()[1:])],
-            r"line 2 has 28 values, expected 14; are there decimal commas, first in column 1\?.*decimal = \",\"",
-        ),
-        (backwards(), r"log\.csv: line 22 has a time 0\.01 s before that of the row above, and time runs backwards in 1 of 70"),
-        (
-            lines(log() * np.where(np.arange(14) < 11, 1, 0)),
-            r"log\.csv: the moment is zero in all 70 rows: nothing was measured; check \[columns\] moment",
-        ),
-        (
-            lines(header=",".join(NAMES).replace("Fx", "Fx [mN]")),
-            r"log\.csv: line 1 has no column 'Fx', which \[columns\] force .*; it has t, .*; did you mean Fx \[mN\]\?",
-        ),
-        (column("x", lambda x: 1e3 * x), r"log\.csv: the sweeps are 667 rod lengths long.*check \[units\] length"),
-        (
-            lines(log() * np.where(np.isin(np.arange(14), [1, 2, 3]), 1e-3, 1)),
-            r"log\.csv: the clamp moves over 0\.000667 rod lengths only; check \[units\] length",
-        ),
-        (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
-        (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
+        ([HEADER, *(line.replace(".", ",") for line in lines()[1:])], r"line 2 has 28 values, expected 14; are there decimal"),
+        (backwards(), r"line 22 has a time 0\.01 s before that of the row above, and time runs backwards in 1 of 70"),
+        (scaled(["Tx", "Ty", "Tz"], 0), r"the moment is zero in all 70 rows: nothing was measured; check \[columns\] moment"),
+        (lines(header=HEADER.replace("Fx", "Fx [mN]")), r"line 1 has no column 'Fx', which .*; did you mean Fx \[mN\]\?"),
+        (scaled(["x"], 1e3), r"log\.csv: the sweeps are 667 rod lengths long.*check \[units\] length"),
+        (scaled(["x", "y", "z"], 1e-3), r"the clamp moves over 0\.000667 rod lengths only; check \[units\] length"),
+        (scaled(["x"], 0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
+        (scaled(["Tz"], 1e3), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
     ],
     ids=range(14),
 )  # fmt: skip
-def test_tables(tmp_path, rows, sentence):
-    with pytest.raises(InputError, match=sentence) as error:
+def test_tables(tmp_path, rows, words):
+    with pytest.raises(InputError, match=words) as error:
         import_table(put(tmp_path, rows), data())
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 500
 
 
 def test_wrong_units_that_the_header_contradicts(tmp_path):
-    header = ",".join(NAMES).replace("Tx,", "Tx_Nm,")
     named = data()
     named["columns"]["moment"] = ["Tx_Nm", "Ty", "Tz"]
+    rows = lines(header=HEADER.replace("Tx,", "Tx_Nm,"))
     with pytest.raises(
-        InputError,
-        match=r"log\.csv: line 1 says that column 'Tx_Nm' is in N m, and \[units\] moment of the map says N mm",
+        InputError, match=r"line 1 says that column 'Tx_Nm' is in N m, and \[units\] moment .* says N mm"
     ):
-        import_table(put(tmp_path, lines(header=header)), named)
-    rows = [lines()[0], "s,m,m,m,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]]
-    with pytest.raises(
-        InputError, match=r"log\.csv: line 2 says that column 'x' is in m, and \[units\] length .* says mm"
-    ):
+        import_table(put(tmp_path, rows), named)
+    rows = [HEADER, UNITS.replace("mm", "m", 3), *lines()[1:]]
+    with pytest.raises(InputError, match=r"line 2 says that column 'x' is in m, and \[units\] length .* says mm"):
         import_table(put(tmp_path, rows), data() | {"table": {"units_row": True}})
 
 
 def test_what_a_map_announces_is_read(tmp_path):
     expected = import_table(put(tmp_path, lines()), data())
     assert (len(expected), expected.six_axis, expected.moment_Nm.max()) == (40, True, pytest.approx(5e-3))
-    rows = [lines()[0], "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]]
+    dates = [f"{np.datetime64(round(1e3 * t), 'ms')}+02:00" for t in log()[:, 0].tolist()]
     cases = [
-        (rows, {"units_row": True}),
+        ([HEADER, UNITS, *lines()[1:]], {"units_row": True}),
         (semicolons(), {"decimal": ","}),
         (["Experiment 7", "by A. Person", *lines()], {"header": 3}),
         (["# a comment", *lines()[:5], "# another one", *lines()[5:]], {}),
@@ -152,18 +134,8 @@ def test_what_a_map_announces_is_read(tmp_path):
         ([f'"{line}"'.replace(",", '","') for line in lines()], {}),
         (with_cell(3, "Fy", ""), {"missing": "drop"}),
         (with_cell(3, "Fy", "N/A"), {"missing": "drop"}),
-        ([lines()[0], *(f"{line}," for line in lines()[1:])], {}),
-        (
-            [
-                re.sub(
-                    r"^([^,]+)", lambda found: str(np.datetime64(round(1e3 * float(found[1])), "ms")) + "+02:00", line
-                )
-                if k
-                else line
-                for k, line in enumerate(lines())
-            ],
-            {},
-        ),
+        ([HEADER, *(f"{line}," for line in lines()[1:])], {}),
+        ([HEADER, *(re.sub("^[^,]+", date, line) for date, line in zip(dates, lines()[1:], strict=True))], {}),
     ]
     for text, table in cases:
         found = import_table(put(tmp_path, text), data() | {"table": table})
@@ -176,18 +148,13 @@ def test_what_a_map_announces_is_read(tmp_path):
 
 def test_columns_by_number_and_without_names(tmp_path):
     expected = import_table(put(tmp_path, lines()), data())
-    changed = data()
-    changed["columns"] |= {
-        "position": [2, 3, 4],
-        "time": 1,
-        "orientation": {"quaternion": [5, 6, 7, 8]},
-        "force": [9, 10, 11],
-        "moment": [12, 13, 14],
-    }
-    assert np.array_equal(import_table(put(tmp_path, lines(header="")), changed).force_N, expected.force_N)
-    changed["columns"]["force"] = [9, 10, 15]
+    made = data()
+    turn = {"quaternion": [5, 6, 7, 8]}
+    made["columns"] |= dict(time=1, position=[2, 3, 4], orientation=turn, force=[9, 10, 11], moment=[12, 13, 14])
+    assert np.array_equal(import_table(put(tmp_path, lines(header="")), made).force_N, expected.force_N)
+    made["columns"]["force"] = [9, 10, 15]
     with pytest.raises(InputError, match=r"log\.csv has 14 columns, and \[columns\] force of the map names column 15"):
-        import_table(put(tmp_path, lines()), changed)
+        import_table(put(tmp_path, lines()), made)
 
 
 def test_quaternions_of_wrong_order(tmp_path):

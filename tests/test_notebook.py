@@ -2,8 +2,9 @@
 
 import base64
 import io
+import re
 from dataclasses import replace
-from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -31,33 +32,11 @@ def surface():
     return scanned(CUBE).surface
 
 
-class Reader(HTMLParser):
-    """Rows of cells, and the attributes of pictures; raises AssertionError for tags that are not closed in order."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.rows, self.pictures, self.tags, self.text = [], [], [], ""
-        self.feed(text)
-        self.close()
-        assert not self.tags
-
-    def handle_starttag(self, tag, attributes):
-        if tag == "img":
-            self.pictures.append(dict(attributes))
-            return
-        self.tags.append(tag)
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-
-    def handle_endtag(self, tag):
-        assert self.tags.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
-        if self.tags and self.tags[-1] in ("td", "th"):
-            self.rows[-1][-1] += data
+def read(text):
+    """Rows of cells, by their first one, the pictures, and the text; an error for tags that are not closed in order."""
+    root = ElementTree.fromstring("<div>" + re.sub(r"(<img[^>]*)>", r"\1/>", text) + "</div>")
+    rows = [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
+    return dict(rows), [picture.attrib for picture in root.iter("img")], "".join(root.itertext())
 
 
 def embedded(picture):
@@ -69,8 +48,7 @@ def embedded(picture):
 
 
 def test_a_recording_shows_itself(recording):
-    shown = Reader(recording._repr_html_())
-    rows = dict(shown.rows)
+    rows, pictures, _ = read(recording._repr_html_())
     with_force = int(np.any(recording.force_N != 0, axis=1).sum())
     assert with_force < len(recording)
     assert rows["samples"] == f"{len(recording)}, {with_force} with a force"
@@ -81,7 +59,7 @@ def test_a_recording_shows_itself(recording):
     assert rows["clamp from"].endswith(" mm")
     assert rows["source: kind"] == "simulation"
     # reactions as lines on white paper: violet to yellow
-    image = embedded(shown.pictures[0])
+    image = embedded(pictures[0])
     assert image.shape == (500, 700, 3)
     assert (image[:5] == 255).all()
     assert 0.01 < (np.ptp(image, axis=2) > 60).mean() < 0.3
@@ -90,36 +68,35 @@ def test_a_recording_shows_itself(recording):
 @pytest.mark.slow
 @pytest.mark.rendering
 def test_a_cloud_shows_itself(cloud):
-    shown = Reader(cloud._repr_html_())
-    rows = dict(shown.rows)
+    rows, pictures, text = read(cloud._repr_html_())
     tips = int((cloud.phase == planar.Phase.TIP).sum())
     assert rows["contacts"] == f"{len(cloud)}: {len(cloud) - tips} tangential, {tips} at the tip"
     assert rows["slices"] == f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}"
     assert rows["size"] == " × ".join(f"{extent:.4g}" for extent in np.ptp(cloud.points, axis=0)) + " mm"
     assert rows["friction"].startswith(f"{number(np.nanmedian(cloud.friction))} (median; 0.1")
     assert "position noise" not in rows
-    assert shown.text.count("render") == 0
+    assert "render" not in text
     # the body in the middle, the bar at the right
-    image = embedded(shown.pictures[0])
+    image = embedded(pictures[0])
     assert image.shape[1] == 700
     height = image.shape[0]
     assert (image[height // 3 : height // 2, 200:300] < 250).all()
     colored = (np.ptp(image[:, 560:], axis=2) > 60).mean(axis=0)
     assert colored.max() > 0.6
     assert (colored > 0.6).sum() > 10
-    assert len(base64.b64decode(shown.pictures[0]["src"].partition(",")[2])) < 300_000
+    assert len(base64.b64decode(pictures[0]["src"].partition(",")[2])) < 300_000
 
 
 def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pictures):
-    shown = Reader(replace(cloud, noise=0.1, unit="um")._repr_html_())
-    assert shown.pictures == []
-    assert canvas.NO_RENDERER in shown.text
-    assert dict(shown.rows)["position noise"] == "100 nm (standard deviation)"
+    rows, pictures, text = read(replace(cloud, noise=0.1, unit="um")._repr_html_())
+    assert pictures == []
+    assert canvas.NO_RENDERER in text
+    assert rows["position noise"] == "100 nm (standard deviation)"
     with pytest.raises(scan3d.InputError, match="nothing here can render off screen"):
         cloud.plot()
-    shown = Reader(cloud.select(np.zeros(len(cloud), dtype=bool))._repr_html_())
-    assert dict(shown.rows)["contacts"] == "0: 0 tangential, 0 at the tip"
-    assert shown.pictures == []
+    rows, pictures, _ = read(cloud.select(np.zeros(len(cloud), dtype=bool))._repr_html_())
+    assert rows["contacts"] == "0: 0 tangential, 0 at the tip"
+    assert pictures == []
 
 
 def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
@@ -139,6 +116,3 @@ def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
     ):
         with pytest.raises(scan3d.InputError, match=sentence):
             scan3d.plot(what, **options)
-
-
-# --- in child processes ---
