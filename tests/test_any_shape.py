@@ -137,23 +137,17 @@ def test_a_contact_in_free_space_is_refused():
     assert off_the_oval(surface.vertices[np.abs(surface.vertices[:, 2]) < 22]).max() < 0.8
 
 
-def test_a_cloud_without_slices_is_refused():
-    recording, cloud = peanut()
-    with pytest.raises(InputError, match="needs the planar model"):
-        any_shape(recording, replace(cloud, model="spatial"))
-
-
-def test_rods_of_another_shape_are_refused():
+def test_what_has_no_free_space_is_refused():
     recording, cloud = peanut()
     curved = replace(recording, rod=replace(recording.rod, curvature_per_m=-3.0))
-    with pytest.raises(InputError, match="straight, uniform and weightless"):
-        any_shape(curved, cloud)
-
-
-def test_one_slice_spans_no_body():
-    recording = recording_of(cassini, [0.0])
-    with pytest.raises(InputError, match="in a plane"):
-        any_shape(recording, scan3d.reconstruct(recording))
+    flat = recording_of(cassini, [0.0])
+    for given, words in (
+        ((recording, replace(cloud, model="spatial")), "needs the planar model"),
+        ((curved, cloud), "straight, uniform and weightless"),
+        ((flat, scan3d.reconstruct(flat)), "in a plane"),
+    ):
+        with pytest.raises(InputError, match=words):
+            any_shape(*given)
 
 
 def test_the_surface_ends_halfway_to_the_next_slice_without_contact():

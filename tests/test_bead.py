@@ -214,32 +214,25 @@ def test_a_reach_and_a_bead_add_up(coarse):
     assert alone.volume_between is None
 
 
-def test_a_bead_needs_six_axes_and_no_sweeps():
+def test_what_is_not_that_of_a_bead_is_refused(tmp_path):
     mesh = trimesh.creation.icosphere(2, radius=12.0)
-    recording = recording_of(mesh)
-    three = replace(recording, **dict.fromkeys(SIX_AXES))
-    with pytest.raises(InputError, match="measure six axes"):
-        scan3d.reconstruct(three)
+    recording = recording_of(mesh, apart=4 * BEAD)
     swept = scan3d.simulate(mesh, scan3d.Plan(slices=1, samples=8, sweeps=2))
-    with pytest.raises(InputError, match="contacts of probings only"):
-        scan3d.reconstruct(replace(swept, rod=replace(swept.rod, bead_diameter_m=2e-3)))
-
-
-def test_neither_a_single_sweep_nor_a_calibration_is_that_of_a_bead(tmp_path):
-    recording = recording_of(trimesh.creation.icosphere(2, radius=12.0), apart=4 * BEAD)
-    with pytest.raises(InputError, match="calibrate it without"):
-        calibrated(recording, 24.0)
+    swept = replace(swept, rod=replace(swept.rod, bead_diameter_m=2e-3))
     (tmp_path / "sweep.csv").write_text("x0_m,f0x_N,f0y_N,m0z_Nm\n0.01,0,0,0\n0,1e-3,1e-3,1e-5\n", encoding="utf-8")
     table = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\nbead_diameter_m = 4e-3\n"
     (tmp_path / "sweep.toml").write_text(table, encoding="utf-8")
-    with pytest.raises(InputError, match=r"sweep\.toml: \[rod\] bead_diameter_m"):
-        read_sweep(tmp_path / "sweep.csv")
-
-
-def test_a_rig_does_not_sweep_with_a_bead():
     poses = plan_poses(RigPlan(parse_envelope("cylinder:26x14"), rod=ROD, sweeps=4))
-    with pytest.raises(InputError, match="a simulated rod with a bead probes"):
-        rig.simulate_rig(rig.standing(trimesh.creation.icosphere(2, radius=6.0)), poses, rod=ROD)
+    body = rig.standing(trimesh.creation.icosphere(2, radius=6.0))
+    for call, words in (
+        (lambda: scan3d.reconstruct(replace(recording, **dict.fromkeys(SIX_AXES))), "measure six axes"),
+        (lambda: scan3d.reconstruct(swept), "contacts of probings only"),
+        (lambda: calibrated(recording, 24.0), "calibrate it without"),
+        (lambda: read_sweep(tmp_path / "sweep.csv"), r"sweep\.toml: \[rod\] bead_diameter_m"),
+        (lambda: rig.simulate_rig(body, poses, rod=ROD), "a simulated rod with a bead probes"),
+    ):
+        with pytest.raises(InputError, match=words):
+            call()
 
 
 def test_a_scan_takes_a_bead_and_a_recording_keeps_it(tmp_path):

@@ -65,6 +65,7 @@ def test_files_that_are_no_convex_bodies(call, tmp_path):
         (["scan", bowl, "--out", tmp_path / "new" / "out", *FEW], is_open),
         (["simulate", bowl, "--out", tmp_path / "new" / "log.csv"], is_open),
         (["compare", CUBE, missing], is_missing),
+        (["show", "nowhere"], "there is no nowhere; show a scan's folder"),
         (["reconstruct", log, "--out", tmp_path / "out"], r"can't read the recording .*log\.csv: No such file"),
     ):
         code, stdout, stderr = call(*arguments)
@@ -106,14 +107,6 @@ def test_wrong_usage(call, tmp_path, monkeypatch, asked, sentence):
     assert tree(tmp_path) == {}
 
 
-def test_words_that_other_programs_take(call):
-    assert call("version") == call("--version")
-    assert call("help", "scan") == call("scan", "--help")
-    code, _, stderr = call("show", "nowhere")
-    assert code == 1
-    assert_sentence(stderr, "there is no nowhere; show a scan's folder")
-
-
 def test_a_scan_goes_beside_its_mesh_and_over_nothing(call, tmp_path, no_pictures):
     mesh = Path(shutil.copy(CUBE, tmp_path / "part.stl"))
     (tmp_path / "part-scan").write_text("mine")
@@ -153,7 +146,8 @@ def test_help_version_and_completion(call):
     code, stdout, stderr = call("--help")
     assert (code, stderr) == (0, "")
     assert all(f" {name} " in stdout for name in COMMANDS)
-    assert call("--version") == (0, version("scan3d") + "\n", "")
+    assert call("--version") == call("version") == (0, version("scan3d") + "\n", "")
+    assert call("help", "scan") == call("scan", "--help")
     for shell in ("bash", "zsh", "fish"):
         script = call("completion", shell)[1]
         assert all(word in script for word in (*COMMANDS, "friction")), shell

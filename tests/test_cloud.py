@@ -29,13 +29,10 @@ def cloud(recording):
 
 
 def test_each_contact_has_the_force_and_the_sweep_of_its_row(recording, cloud):
-    assert cloud.row.dtype == np.int32
     assert np.all(np.diff(cloud.row) > 0)
     assert 0 < len(cloud) < len(recording)
     assert cloud.force_N == pytest.approx(np.hypot(*recording.force_N[cloud.row].T), rel=1e-12)
     assert np.array_equal(cloud.sweep, recording.sweep[cloud.row])
-    # no other row of the recording has the same force
-    assert len(np.unique(recording.force_N[cloud.row], axis=0)) == len(cloud)
 
 
 @pytest.mark.parametrize("kind", ["mask", "indices"])

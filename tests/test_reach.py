@@ -150,12 +150,9 @@ def test_a_reach_finer_than_the_slices_are_apart_bounds_nothing(monkeypatch):
     assert found.bound == np.inf
 
 
-@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
-def test_a_reach_is_positive(wrong):
-    with pytest.raises(InputError, match="positive number"):
+@pytest.mark.parametrize(
+    ("wrong", "words"), [*((R, "positive number") for R in (0.0, -1.0, np.nan)), (0.5, "at least")]
+)
+def test_a_reach_is_positive_and_not_too_fine_for_the_grid(wrong, words):
+    with pytest.raises(InputError, match=words):
         reach(*peanut(), wrong)
-
-
-def test_a_reach_too_fine_for_the_grid_is_refused():
-    with pytest.raises(InputError, match="at least"):
-        reach(*peanut(), 0.5)

@@ -35,23 +35,21 @@ def assert_no_contact(contacts, status):
         assert np.isnan(getattr(contacts, name)).all(), name
 
 
-@every_method
-@pytest.mark.parametrize("column", ["x0", "f0x", "f0y", "m0z"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_missing_value(method, column, value):
-    assert_no_contact(planar.reconstruct(*row(**{column: value}), method), Status.NO_FORCE)
+NONE = [
+    *(
+        ({column: value}, Status.NO_FORCE)
+        for column in ("x0", "f0x", "f0y", "m0z")
+        for value in (np.nan, np.inf, -np.inf)
+    ),
+    *((dict(f0x=0, f0y=0, m0z=moment), Status.NO_FORCE) for moment in (0.0, 1.0, -1.0)),
+    *((dict(m0z=moment), Status.WRONG_SIDE) for moment in (-ROW[3], 0.0)),
+]
 
 
 @every_method
-def test_no_force(method):
-    for moment in (0.0, 1.0, -1.0):
-        assert_no_contact(planar.reconstruct(*row(f0x=0, f0y=0, m0z=moment), method), Status.NO_FORCE)
-
-
-@every_method
-def test_a_moment_of_the_wrong_sign(method):
-    for moment in (-ROW[3], 0.0):
-        assert_no_contact(planar.reconstruct(*row(m0z=moment), method), Status.WRONG_SIDE)
+@pytest.mark.parametrize(("changes", "status"), NONE)
+def test_values_that_are_missing_zero_or_of_the_wrong_sign(method, changes, status):
+    assert_no_contact(planar.reconstruct(*row(**changes), method), status)
 
 
 @every_method
