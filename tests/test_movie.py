@@ -40,14 +40,6 @@ def test_growth(make, tmp_path):
         assert (earlier & ~later).sum() < 0.01 * earlier.sum()
 
 
-@pytest.mark.slow
-@pytest.mark.rendering
-def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
-    for name in ("a.gif", "b.gif"):
-        views.movie(egg, tmp_path / name, frames=2)
-    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
-
-
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
     monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     for change, name, sentence in (

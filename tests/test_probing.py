@@ -249,9 +249,15 @@ def _integrated(force):
     return -kappa * np.cross(aside / size, [0.0, 1.0, 0.0])
 
 
-@pytest.mark.parametrize("name", ["uniform", "tapered"])
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize(
+    ("name", "model", "noise"),
+    [
+        pytest.param(name, model, noise, marks=() if (i + j + k) % 2 else pytest.mark.trust)
+        for i, name in enumerate(["uniform", "tapered"])
+        for j, model in enumerate(["planar", "spatial"])
+        for k, noise in enumerate([1e-4, 1e-3])
+    ],
+)
 def test_probed_contacts_lie_within_their_stated_errors(name, model, noise):
     rng = np.random.default_rng(4)
     body = trimesh.creation.icosphere(5, radius=20.0)

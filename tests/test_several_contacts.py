@@ -11,46 +11,40 @@ from planar.any_body import follow
 from planar.contours import Outlines
 from planar.several import reactions as reactions_of
 
-# x0, μ; f0x, f0y, m0z; s, f, place and slope in degrees of each contact, of two independent integrations
-REFERENCES = {
-    "peanut": (
-        (lambda: planar.Curve.from_points(*cassini(0.8, 4000)), -0.28, 0.0),
-        (-2.155438814938, 2.159908591476, 1.987682850439),
-        (
-            (0.582106506761, 2.198794479330, (-0.040751879202, 0.516929394708), 49.604162500),
-            (1.0, 0.878284292928, (0.245510394937, 0.821235253897), 33.196326736),
-        ),
-    ),
-    "peanut with friction": (
-        (lambda: planar.Curve.from_points(*cassini(0.8, 4000)), -0.30, 0.3),
-        (-3.187816170946, 1.615954825662, 2.248359133772),
-        (
-            (0.587384610687, 3.115968149393, (-0.043565134220, 0.513677779287), 48.661083043),
-            (1.0, 0.476273190370, (0.237221576444, 0.815978010322), 31.593612112),
-        ),
-    ),
-    "star": (
-        (lambda: planar.Curve.from_points(*star(0.3, 16_000)), -0.64, 0.3),
-        (1.379781328227, 4.026994334635, 1.916910611464),
-        (
-            (0.789208422090, 0.360433300642, (-0.149790571806, 0.541078579865), 15.853117269),
-            (1.0, 4.042115897443, (0.055501400473, 0.588691801214), -39.612102923),
-        ),
-    ),
-    "letter L": (
-        (lambda: planar.Polygon(letter_l_outline(4.5)), -0.40, 0.3),
-        (-2.653538887130, 2.168866046887, 2.511621301187),
-        (
-            (0.647937983964, 2.248305041866, (-0.050590991863, 0.515392771760), 35.328994370),
-            (0.987413626227, 1.180482093484, (0.234607228240, 0.699409008137), 31.584366809),
-        ),
-    ),
-    "peanut, one contact": (
-        (lambda: planar.Curve.from_points(*cassini(0.8, 4000)), -0.22, 0.0),
-        (-1.040670211907, 1.293650134663, 1.506890620380),
-        ((1.0, 1.660278639526, (0.269952658232, 0.838943296436), 38.814759820),),
-    ),
-}
+PEANUT = lambda: planar.Curve.from_points(*cassini(0.8, 4000))  # noqa: E731
+STAR = lambda: planar.Curve.from_points(*star(0.3, 16_000))  # noqa: E731
+LETTER = lambda: planar.Polygon(letter_l_outline(4.5))  # noqa: E731
+# x0, μ, f0x, f0y, m0z; then s, f, x, y and slope in degrees of each contact, of two independent integrations
+NUMBERS = {
+    "peanut": (PEANUT, """
+        -0.28 0.0 -2.155438814938 2.159908591476 1.987682850439
+        0.582106506761 2.198794479330 -0.040751879202 0.516929394708 49.604162500
+        1.0 0.878284292928 0.245510394937 0.821235253897 33.196326736"""),
+    "peanut with friction": (PEANUT, """
+        -0.30 0.3 -3.187816170946 1.615954825662 2.248359133772
+        0.587384610687 3.115968149393 -0.043565134220 0.513677779287 48.661083043
+        1.0 0.476273190370 0.237221576444 0.815978010322 31.593612112"""),
+    "star": (STAR, """
+        -0.64 0.3 1.379781328227 4.026994334635 1.916910611464
+        0.789208422090 0.360433300642 -0.149790571806 0.541078579865 15.853117269
+        1.0 4.042115897443 0.055501400473 0.588691801214 -39.612102923"""),
+    "letter L": (LETTER, """
+        -0.40 0.3 -2.653538887130 2.168866046887 2.511621301187
+        0.647937983964 2.248305041866 -0.050590991863 0.515392771760 35.328994370
+        0.987413626227 1.180482093484 0.234607228240 0.699409008137 31.584366809"""),
+    "peanut, one contact": (PEANUT, """
+        -0.22 0.0 -1.040670211907 1.293650134663 1.506890620380
+        1.0 1.660278639526 0.269952658232 0.838943296436 38.814759820"""),
+}  # fmt: skip
+
+
+def reference(make, text):
+    rows = [[float(number) for number in line.split()] for line in text.strip().splitlines()]
+    (x0, friction, *reactions), *contacts = rows
+    return (make, x0, friction), reactions, [(s, f, (x, y), slope) for s, f, x, y, slope in contacts]
+
+
+REFERENCES = {name: reference(*given) for name, given in NUMBERS.items()}
 
 
 @pytest.mark.parametrize(("given", "reactions", "contacts"), REFERENCES.values(), ids=REFERENCES)
