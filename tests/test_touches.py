@@ -46,7 +46,7 @@ def bounded(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
 
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (1e-4, 0.0), (1e-4, 1e-2), (1e-3, 5e-2)])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))  # and 200 bodies in `make trust`
 def test_bounds_hold_for_convex_bodies(seed, noise):
     ratio, is_inside = bounded(random_body(seed), (80, 300)[seed % 2], seed, *noise)
     assert ratio >= 1
