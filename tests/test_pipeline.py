@@ -58,19 +58,6 @@ def test_analyse_gives_the_same_twice_and_leaves_its_inputs_as_they_were(scan, t
     assert capfd.readouterr() == ("", "")
 
 
-def test_without_the_truth_there_is_no_comparison(scan):
-    _, recording, with_truth = scan
-    analysis = pipeline.analyse(recording)
-    assert analysis.truth is None
-    assert analysis.comparison is None
-    assert analysis.contact_error is None
-    # no other result depends on the truth
-    for name in ("cloud", "bounds", "surface", "certificate"):
-        assert_same(getattr(analysis, name), getattr(with_truth, name))
-    assert "compare" not in analysis.seconds
-    assert "compare" in with_truth.seconds
-
-
 PICTURES = {"cloud.png", "surface.png"}
 
 
