@@ -39,40 +39,20 @@ def half_a_unit(decimals):
 
 
 @pytest.mark.parametrize("friction", TABLE)
-def test_order_of_events(friction):
-    assert planar.events(CIRCLE, friction).kind.tolist() == [
-        EventKind.TOUCH_DOWN,
-        EventKind.TO_TANGENTIAL,
-        EventKind.TO_TIP,
-        EventKind.SNAP_OFF,
-    ]
-
-
-@pytest.mark.parametrize("friction", TABLE)
-def test_touch_down(friction):
+def test_events(friction):
+    reference = TABLE[friction]
     events = planar.events(CIRCLE, friction)
+    kinds = [EventKind.TOUCH_DOWN, EventKind.TO_TANGENTIAL, EventKind.TO_TIP, EventKind.SNAP_OFF]
+    assert events.kind.tolist() == kinds
     assert abs(events.x0[0] - 0.848528) <= half_a_unit(6)
     assert abs(events.x0[0] - 0.9 * np.sqrt(8 / 9)) < 1e-12  # the circle at y = 1
     assert abs(np.degrees(events.slope[0, 1]) - 70.5288) <= half_a_unit(4)
     assert events.force[0].tolist() == [0, 0]
-
-
-@pytest.mark.parametrize("friction", TABLE)
-def test_transitions(friction):
-    reference = TABLE[friction]
-    events = planar.events(CIRCLE, friction)
-    assert abs(events.of(EventKind.TO_TANGENTIAL)[0] - reference.to_tangential_x0) <= half_a_unit(7)
-    assert abs(events.of(EventKind.TO_TIP)[0] - reference.to_tip_x0) <= half_a_unit(7)
+    expected = [reference.to_tangential_x0, reference.to_tip_x0, reference.snap_off_x0]
+    assert np.abs(events.x0[1:] - expected).max() <= half_a_unit(7)
     # force and moment are continuous there
     assert np.abs(events.force[2] - reference.to_tip_force).max() <= half_a_unit(6)
     assert np.abs(events.m0z[2] - reference.to_tip_m0z).max() <= half_a_unit(6)
-
-
-@pytest.mark.parametrize("friction", TABLE)
-def test_snap_off(friction):
-    reference = TABLE[friction]
-    events = planar.events(CIRCLE, friction)
-    assert abs(events.x0[-1] - reference.snap_off_x0) <= half_a_unit(7)
     assert abs(np.degrees(events.slope[-1, 0]) - reference.snap_off_slope_deg) <= half_a_unit(2)
     assert 4 < events.force[-1, 0] < 8  # the force does not vanish before the rod leaves
     assert events.force[-1, 1] == 0

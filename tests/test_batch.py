@@ -200,17 +200,6 @@ def again(serial, tmp_path):
     return tmp_path / "out", [*THREE, serial[0].parent / "bad.stl"]
 
 
-def test_what_is_done_is_not_repeated(again, serial):
-    out, meshes = again
-    before = stamps(out)
-    done = scan3d.batch(meshes, out, **SETTINGS)
-    # the failure is tried again
-    assert done.computed == 1
-    assert stamps(out) == before
-    assert rows_of(out) == rows_of(serial[0])
-    assert done.rows[0] == serial[1].rows[0]
-
-
 def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_computed(again, monkeypatch):
     out, meshes = again
 
@@ -251,12 +240,16 @@ def test_a_run_whose_worker_is_lost_is_a_failure(tmp_path):
 # --- the command ---
 
 
-def test_the_command_prints_a_table(call, again):
+def test_the_command_prints_a_table_and_repeats_nothing_that_is_done(call, again, serial):
     out, meshes = again
+    before = stamps(out)
     code, stdout, stderr = call(*meshes, "--out", out, *FEW[:-1])
     lines = stdout.splitlines()
     assert code == 1
+    # the failure is tried again
     assert re.fullmatch(r"4 runs, 3 of them by an earlier call: 3 done, 1 failed, in [\d.]+ s", lines[0])
+    assert stamps(out) == before
+    assert rows_of(out) == rows_of(serial[0])
     for line, name in zip(lines[1:4], ("best", "median", "worst"), strict=True):
         assert re.fullmatch(rf"{name} +.+ (%|ppm) of the diagonal, certified within \S+ (%|ppm) \(\w+\)", line)
     assert lines[4].startswith("failed             bad: bad.stl has no triangles")

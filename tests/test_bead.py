@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import pyvista
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -25,14 +24,11 @@ from scan3d.rods import Rod
 from scan3d.settings import Settings
 from scan3d.simulation import rig
 from scan3d.simulation.probing import recorded_probings
+from tests.robustness.probing import signed
 
 BEAD = 2.0
 """Radius, in mm."""
 ROD = Rod(0.05, 1e-4, bead_diameter_m=2e-3 * BEAD)
-
-
-def signed(mesh, points):
-    return np.array(pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"])
 
 
 def bodies(rng):

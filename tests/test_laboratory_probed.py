@@ -99,7 +99,12 @@ def kind(request):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "told", [(), ("sweep",), ("move",), ("sweep", "move")], ids=["poses", "numbers", "moves", "both"]
+    ("kind", "told"),
+    [
+        pytest.param(kind, told, marks=pytest.mark.trust if (i + k) % 2 else ())
+        for i, kind in enumerate(["probings", "both"])
+        for k, told in enumerate([(), ("sweep",), ("move",), ("sweep", "move")])
+    ],
 )
 def test_what_was_probed_comes_back(tmp_path, kind, told):
     raw = log(kind)

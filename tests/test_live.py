@@ -88,7 +88,7 @@ def test_the_contacts_are_those_of_the_whole_recording(rod, model, noise):
 
 @pytest.mark.slow
 def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
-    raw = rigs.recorded(seed=1)
+    raw = rigs.recorded(seed=1, samples=60)
     calibration = scan3d.calibrate(raw, sphere=rigs.DIAMETER)
     live = scan3d.Live(calibration, air_rows=5)
     # what hangs free shows zero and noise

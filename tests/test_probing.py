@@ -25,6 +25,7 @@ from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.spatial.march import shapes
+from tests.robustness.probing import signed
 
 
 def _bodies(rng):
@@ -170,16 +171,12 @@ def test_contacts_of_probings_lie_on_the_body_and_their_lines_outside(name, mode
         assert cloud.probed.all()
         assert (cloud.phase == planar.Phase.TIP).all()
         assert len(cloud) > 5
-        assert np.abs(_signed(mesh, cloud.points)).max() < 1e-9 * cloud.rod_length
+        assert np.abs(signed(mesh, cloud.points)).max() < 1e-9 * cloud.rod_length
         lines = free_lines(recording, cloud)
         part = lines[:, 0] + rng.uniform(0, 1, (len(lines), 1)) * (lines[:, 1] - lines[:, 0])
         # the end slides aside by a three hundredth of the rod at most, and what hangs is beside its line
         beside = 0.06 if gravity else 0.01 / 3
-        assert _signed(mesh, part).min() > -beside * cloud.rod_length
-
-
-def _signed(mesh, points):
-    return np.array(pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(mesh))["implicit_distance"])
+        assert signed(mesh, part).min() > -beside * cloud.rod_length
 
 
 def test_rods_stick_within_the_friction_angle_and_slide_beyond_it():
@@ -221,7 +218,7 @@ def test_where_the_end_slips_over_a_bump_the_rod_does_not_go_through_it(name):
     felt = felt_along(mesh, moves, rod, length, np.zeros(200), stop, None, False)
     places = length * shapes(rod.in_space(), felt.force.T, felt.moment.T, None, 400)[0]
     places = (start.T + felt.travel * [[0], [1], [0]])[:, None] + places
-    deepest = _signed(bump, places.reshape(3, -1).T).reshape(400, 200).min(axis=0)
+    deepest = signed(bump, places.reshape(3, -1).T).reshape(400, 200).min(axis=0)
     # those that come to the wall clear of the bump are kept, and those that would go through it left out
     at_wall = felt.touches & (places[1, -1] > 10)
     assert (at_wall & (deepest > 1e-4)).sum() > 20

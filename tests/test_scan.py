@@ -236,8 +236,14 @@ RODS = [dict(rod=dataclasses.replace(parse_rod(text), diameter_m=0.0)) for text 
 PLANS = [*RODS, *(dict(clearance=part) for part in (1e-6, 0.9, 0.999)), dict(axis="xyz", friction=(0.0, 0.4))]
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: next(iter(plan)))
-@pytest.mark.parametrize("path", [EGG, CUBE], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    ("path", "plan"),
+    [
+        pytest.param(path, plan, marks=pytest.mark.trust if (i + k) % 2 else (), id=f"{path.stem} {next(iter(plan))}")
+        for i, path in enumerate([EGG, CUBE])
+        for k, plan in enumerate(PLANS)
+    ],
+)
 def test_contacts_lie_on_the_body_whatever_the_plan(path, plan):
     """Also with rods far too short and long, and with clearances at which the tip alone touches."""
     mesh = scan3d.load_mesh(path)

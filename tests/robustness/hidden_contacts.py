@@ -9,13 +9,13 @@ off by more than five of its stated standard deviations is none.  At most 0.1 % 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
 import trimesh
 
 import scan3d
 from scan3d.geometry.distance import distances
+from tests.robustness.shot_rods import noisy
 
 SIGMAS, ALLOWED = 5.0, 1e-3
 
@@ -29,24 +29,12 @@ def body(random):
     return trimesh.Trimesh(20 * ball.vertices * radius[:, None], ball.faces, process=False)
 
 
-def with_noise(recording, noise, random):
-    """The recording with noise of a standard deviation in the units of force and moment, which it states."""
-    force, moment = noise * recording.rod.force_unit_N, noise * recording.rod.moment_unit_Nm
-    return replace(
-        recording,
-        force_N=recording.force_N + force * random.standard_normal(recording.force_N.shape),
-        moment_Nm=recording.moment_Nm + moment * random.standard_normal(recording.moment_Nm.shape),
-        noise_force_N=force,
-        noise_moment_Nm=moment,
-    )
-
-
 def trial(seed):
     """Numbers of contacts, and of those that are none, of one body."""
     random = np.random.default_rng(seed)
     mesh, noise, friction = body(random), float(10 ** random.uniform(-5, -3)), float(random.choice([0.0, 0.1, 0.3]))
     plan = scan3d.Plan(slices=2, spacing="uniform", samples=40, sweeps=12, friction=friction, seed=seed, probing="off")
-    cloud = scan3d.reconstruct(with_noise(scan3d.simulate(mesh, plan), noise, random))
+    cloud = scan3d.reconstruct(noisy(scan3d.simulate(mesh, plan), noise, random))
     off = distances(cloud.points, mesh)
     return len(cloud), int((off > SIGMAS * cloud.place_sd).sum())
 
