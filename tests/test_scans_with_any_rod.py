@@ -171,14 +171,10 @@ def test_maps_state_gravity(tmp_path):
 
 
 def test_against_the_formula_of_a_round_bar():
-    rod = parse_rod("steel:0.3x50")
+    """As text, and by its length alone, which is that of a slender wire of steel."""
+    rod, by_length = parse_rod("steel:0.3x50"), Rod.of_length(0.05)
     assert rod.length_m == pytest.approx(0.05, rel=1e-15)
     assert rod.bending_stiffness_Nm2 == pytest.approx(210e9 * math.pi * (0.15e-3) ** 4 / 4, rel=1e-12)
     assert rod.moment_unit_Nm == pytest.approx(rod.force_unit_N * rod.length_m, rel=1e-12)
-
-
-def test_a_rod_by_its_length_is_the_slender_steel_wire():
-    assert Rod.of_length(0.05) == Rod.wire(0.05, 0.05 * SLENDERNESS, 210e9)
-    assert Rod.of_length(0.05).bending_stiffness_Nm2 == pytest.approx(
-        parse_rod("steel:0.3x50").bending_stiffness_Nm2, rel=1e-12
-    )
+    assert by_length == Rod.wire(0.05, 0.05 * SLENDERNESS, 210e9)
+    assert by_length.bending_stiffness_Nm2 == pytest.approx(rod.bending_stiffness_Nm2, rel=1e-12)

@@ -265,27 +265,12 @@ def _options():
         for value in values
     ]
     extreme = (
-        *(
-            "--samples=2",
-            "--samples=3",
-            "--clearance=0.9",
-            "--clearance=0.999999",
-            "--clearance=1e-6",
-            "--friction=100",
-        ),
-        *(
-            "--friction=0:100",
-            "--noise=1",
-            "--noise=1e-300",
-            "--tolerance=1e300",
-            "--sweeps=1",
-            "--slices=1",
-            "--slices=2",
-        ),
-        *("--axis=1e300,0,0", "--axis=1e-320,0,0", "--axis=1e308,1e308,1e308", "--rod=steel:0.3x40", f"--seed={HUGE}"),
-        *("--spacing=adaptive --samples=2", "--clearance=0.9", "--axis=xyz --slices=2"),
-        *("--rod=steel:0.3x1e10", "--rod=steel:1e20x1e20", "--spacing=adaptive --slices=1", "--sweeps=1 --samples=2"),
-    )
+        "--samples=2; --samples=3; --clearance=0.9; --clearance=0.999999; --clearance=1e-6; --friction=100; --friction=0:100; "
+        "--noise=1; --noise=1e-300; --tolerance=1e300; --sweeps=1; --slices=1; --slices=2; --axis=1e300,0,0; "
+        f"--axis=1e-320,0,0; --axis=1e308,1e308,1e308; --rod=steel:0.3x40; --seed={HUGE}; --spacing=adaptive --samples=2; "
+        "--clearance=0.9; --axis=xyz --slices=2; --rod=steel:0.3x1e10; --rod=steel:1e20x1e20; --spacing=adaptive --slices=1; "
+        "--sweeps=1 --samples=2"
+    ).split("; ")
     # they may fail, in a sentence
     cases += [
         Case(words, ("scan", "box.stl", "--out", f"out {words}", *small, *words.split()), -1) for words in extreme
