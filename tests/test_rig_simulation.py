@@ -182,13 +182,21 @@ def test_a_random_walk_has_steps_of_its_size():
     assert np.abs(np.corrcoef(steps[:-1].T, steps[1:].T)[:3, 3:]).max() < 0.05
 
 
-def test_white_noise_has_its_standard_deviation():
+def test_noise_jitter_and_steps_have_their_sizes():
     noise = faulty(noise=Size(fraction=0.01))
     assert noise[:, :3].std(axis=0) == pytest.approx(0.02, rel=0.03)
     assert noise[:, 3:].std(axis=0) == pytest.approx(0.005, rel=0.03)
     assert abs(noise.mean(axis=0)).max() < 4 * 0.02 / np.sqrt(ROWS)
     assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.04
     assert faulty(noise=Size(force_N=0.1))[:, :3].std() == pytest.approx(0.1, rel=0.03)
+    values = faulty(noise=Size(fraction=0.01), quantum=Size(force_N=0.004)) + np.array([2, 0, 0, 0, 0, 0.5])
+    np.testing.assert_allclose(values[:, :3] / 0.004, np.round(values[:, :3] / 0.004), atol=1e-9)
+    assert len(np.unique(values[:, 0])) < 60
+    assert len(np.unique(values[:, 5])) == ROWS
+    place = np.tile([0.1, 0.2, 0.3], (ROWS, 1))
+    assert (logged_positions(place, Faults(jitter_um=20.0)) - place).std(axis=0) == pytest.approx(20e-6, rel=0.03)
+    steps = logged_positions(place, Faults(jitter_um=20.0, quantum_um=5.0)) / 5e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
 def test_pink_noise_falls_with_the_frequency():
@@ -199,13 +207,6 @@ def test_pink_noise_falls_with_the_frequency():
     assert slope == pytest.approx(-1, abs=0.03)
     assert np.mean([log.var() for log in logs]) == pytest.approx(1, rel=0.05)
     assert faulty(pink=Size(force_N=0.1))[:, :3].std() == pytest.approx(0.1, rel=0.3)
-
-
-def test_values_are_whole_steps():
-    values = faulty(noise=Size(fraction=0.01), quantum=Size(force_N=0.004)) + np.array([2, 0, 0, 0, 0, 0.5])
-    np.testing.assert_allclose(values[:, :3] / 0.004, np.round(values[:, :3] / 0.004), atol=1e-9)
-    assert len(np.unique(values[:, 0])) < 60
-    assert len(np.unique(values[:, 5])) == ROWS
 
 
 def test_a_lag_is_seen_by_cross_correlation():
@@ -221,14 +222,6 @@ def test_a_lag_is_seen_by_cross_correlation():
         late = lagged(signal, faults)[:, 0]
         match = [np.corrcoef(signal[: ROWS - 100, 0], late[k : ROWS - 100 + k])[0, 1] for k in range(80)]
         assert int(np.argmax(match)) == pytest.approx(expected, abs=3)
-
-
-def test_poses_jitter():
-    place = np.tile([0.1, 0.2, 0.3], (ROWS, 1))
-    jitter = logged_positions(place, Faults(jitter_um=20.0)) - place
-    assert jitter.std(axis=0) == pytest.approx(20e-6, rel=0.03)
-    steps = logged_positions(place, Faults(jitter_um=20.0, quantum_um=5.0)) / 5e-6
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
 @pytest.mark.parametrize("gap", [0.0, 10.0])

@@ -53,6 +53,13 @@ def test_no_converter_is_taken_for_a_sensor_that_stopped(step):
         assert gaps(shown, air, moving(len(shown))) == []
 
 
+def test_logs_without_noise_and_loggers_faster_than_the_sensor_have_nothing_that_stopped():
+    shown, air = values(0.0, 1e-12)
+    assert gaps(shown, air, moving(len(shown))) == []
+    shown, air = values(0.3, 1e-9, count=800)
+    assert gaps(np.repeat(shown, 5, axis=0), np.repeat(air, 5), moving(4000)) == []
+
+
 @pytest.mark.parametrize("step", [1e-9, 0.05, 0.2])
 @pytest.mark.parametrize("to_the_end", [True, False])
 @pytest.mark.parametrize("channels", [range(6), [5]])
@@ -69,16 +76,6 @@ def test_channels_that_repeat_are_seen_to_the_row(step, to_the_end, channels, st
     assert (found != rows).sum() <= 1
     at_rest = gaps(shown, air, np.zeros((len(shown), 7)))
     assert at_rest == []
-
-
-def test_a_log_without_noise_has_nothing_that_repeats():
-    shown, air = values(0.0, 1e-12)
-    assert gaps(shown, air, moving(len(shown))) == []
-
-
-def test_a_sensor_that_is_slower_than_the_logger_is_not_frozen():
-    shown, air = values(0.3, 1e-9, count=800)
-    assert gaps(np.repeat(shown, 5, axis=0), np.repeat(air, 5), moving(4000)) == []
 
 
 def test_a_saturated_channel_is_seen_and_a_peak_is_not():
