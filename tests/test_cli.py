@@ -84,6 +84,19 @@ def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
         assert tree(tmp_path) == {Path("file"): b"other content"}
 
 
+@pytest.mark.slow
+def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
+    # that the cube is not smooth is known only after the simulation
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "a" / "b", *FEW, "--method", "support")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, "not smooth enough for the method support")
+    assert tree(tmp_path) == {}
+    shutil.copytree(scanned[0], tmp_path / "old")
+    before = tree(tmp_path)
+    assert call("scan", CUBE, "--out", tmp_path / "old", *FEW, "--method", "support")[0] == 1
+    assert tree(tmp_path) == before
+
+
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
