@@ -202,14 +202,15 @@ def test_sweeps_of_a_sensor_that_stopped_are_not_empty(log, named, zero):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["quaternion", "euler", "pose"])
+@pytest.mark.parametrize("kind", ["quaternion", "matrix", "euler", "pose"])
 def test_inverse_orientations_are_named_and_read(log, kind):
     _, logged_ = log
     turn = Rotation.from_quat(logged_.quaternion, scalar_first=True)
     place, back = logged_.position_m, turn.inv()
     if kind == "pose":
         place = -back.apply(place)
-    values = back.as_euler("xyz", degrees=True) if kind == "euler" else back.as_quat(scalar_first=True)
+    values = {"matrix": lambda: back.as_matrix().reshape(-1, 9), "euler": lambda: back.as_euler("xyz", degrees=True)}
+    values = values.get(kind, lambda: back.as_quat(scalar_first=True))()
     names = [f"o{k}" for k in range(values.shape[1])]
     columns = np.hstack([logged_.time_s[:, None], place, values, logged_.wrench])
     table = Table("log.csv", ("t", "x", "y", "z", *names, *NAMES[8:]), tuple(columns.T))
