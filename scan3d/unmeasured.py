@@ -34,6 +34,8 @@ SEVERAL = 4.0
 sensor writes a value two or three times."""
 # Values in the air, at least, that tell the noise.
 _FEWEST = 20
+# Part of usual changes that counts as none.
+_STILL = 0.01
 # Rows before and after a run that tell how values repeat there.
 _BESIDE = 200
 # Values in the air, at least, for each run that repeats: a simulated log without noise has light touches only beside such runs.
@@ -66,11 +68,15 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
         return []
     differs = np.ones((len(values), len(varying)), dtype=bool)
     differs[1:] = values[1:, varying] != values[:-1, varying]
-    fresh: Mask = np.asarray(differs.any(axis=1))
+    changes = _changes(values[:, varying], air)
+    fresh: Mask = np.asarray(changes.any(axis=1))
     found: list[Gap] = []
-    chances = np.array([_chance(values[:, k], air, differs[:, j]) for j, k in enumerate(varying)])
-    stopped = _repeating(fresh, values[:, varying], chances, pose)
-    if not _noisy(values[:, varying], air & fresh, len(stopped)):
+    chances, still = (
+        np.array([_chance(values[:, k], air, each[:, j]) for j, k in enumerate(varying)]) for each in (differs, changes)
+    )
+    stopped = _repeating(fresh, values[:, varying], np.minimum(still + _STILL, 1.0), pose)
+    # a sensor may be slower than its log
+    if not _noisy(values[:, varying], air & fresh, len(stopped), int(SEVERAL)):
         return []
     alone = [_repeating(differs[:, j], values[:, [k]], chances[[j]], pose) for j, k in enumerate(varying)]
     for j, k in enumerate(varying):
@@ -89,6 +95,8 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
     for k, runs in zip(varying, alone, strict=True):
         rows = _rows(runs)
         rows = rows[~left[rows]]
+        if len(rows) < SEVERAL:  # what is left of runs of all channels
+            continue
         add(Gap(int(k), False, float(values[rows[0], k]) if len(runs) == 1 and len(rows) else 0.0, rows))
     return found
 
@@ -161,6 +169,21 @@ def _sentence(
     return f"{name} keeps {value} {times} ({size:,} rows) while the clamp moves: {what}; these rows are left out"
 
 
+def _changes(values: Array, air: Mask) -> Mask:
+    """Whether channels (n, c) change from the row before, and not as they did before, by more than a part of their noise.
+
+    What programs do to a signal that stopped leaves much less than its noise: rounding, a drift that is taken off, a line
+    between two rows.
+    """
+    change, bend = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, n=2, axis=0))
+    inside = air[:-2] & air[1:-1] & air[2:]
+    noise = np.quantile(bend[inside], 0.9, axis=0) if inside.any() else np.zeros(values.shape[1])
+    changes = np.ones(values.shape, dtype=bool)
+    changes[1:] = change > _STILL * noise
+    changes[2:] &= (bend > _STILL * noise) | (noise == 0)
+    return changes
+
+
 def _repeating(differs: Mask, values: Array, chances: Array, pose: Array) -> list[tuple[int, int]]:
     """Runs of equal values that are no chance: the first row of each, and the one after its last.
 
@@ -202,7 +225,7 @@ def _beside(column: Array, start: int, stop: int) -> float:
         change = np.abs(np.diff(rows))
         differs = np.append(True, change != 0)[: len(rows)]
         if differs.sum() > _FEWEST:
-            still = float((change <= 0.01 * np.quantile(change, 0.9)).mean())
+            still = float((change <= _STILL * np.quantile(change, 0.9)).mean())
             found.append(max(still, _chance(rows, np.ones(len(rows), dtype=bool), differs)))
     return max(found, default=1.0)
 
@@ -258,16 +281,19 @@ def _sizes() -> tuple[Array, Array]:
     return sizes, np.maximum.accumulate(share)
 
 
-def _noisy(values: Array, fresh: Mask, runs: int) -> bool:
+def _noisy(values: Array, fresh: Mask, runs: int, apart: int = 1) -> bool:
     """Whether the air has noise: successive differences of channels (n, c) there have opposite signs more than equal ones.
 
     fresh
         (n,) rows in the air that do not repeat the ones before.
+    apart
+        rows from one of these to the next at most.
     """
-    rows = np.flatnonzero(fresh[:-2] & fresh[1:-1] & fresh[2:])
+    rows = np.flatnonzero(fresh)
     if len(rows) < max(_FEWEST, _FRESH * runs):
         return False
-    before, after = values[rows + 1] - values[rows], values[rows + 2] - values[rows + 1]
+    change, near = np.diff(values[rows], axis=0), np.diff(rows) <= apart
+    before, after = change[:-1][near[:-1] & near[1:]], change[1:][near[:-1] & near[1:]]
     # steps of a converter jump among noise; each channel counts alike, and a jump of the zero as one sign
     return bool((np.sign(before) * np.sign(after)).sum() < 0)
 

@@ -10,6 +10,7 @@ import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import _area, _clipped, _covered, slices_of, unproven
+from scan3d.recording import of_rows
 from scan3d.report import report, summary
 from scan3d.surfaces import enclosure
 
@@ -57,6 +58,17 @@ def test_an_empty_slice_that_is_swept_on_one_side_proves_nothing(scanned):
     assert contacts(scanned).unresolved is None
     assert contacts(out_of_reach(scanned, above, 0.1)).unresolved is None
     assert contacts(out_of_reach(scanned, above, 0.9)).unresolved.sum() == 1
+
+
+def test_rows_that_were_lost_prove_nothing(scanned):
+    """Of the sweeps above the sphere the middle half of the rows is lost, where a touch would be."""
+    above = np.unique(scanned.sweep[scanned.position_m[:, 2] > 0.01])
+    rank = np.arange(len(scanned)) - np.searchsorted(scanned.sweep, scanned.sweep)
+    share = rank / np.bincount(scanned.sweep)[scanned.sweep]
+    lost = np.isin(scanned.sweep, above) & (share > 0.25) & (share < 0.75)
+    assert contacts(of_rows(scanned, np.flatnonzero(~lost))).unresolved.sum() == 1
+    # what is only thinned is as it was
+    assert contacts(of_rows(scanned, np.flatnonzero(~lost | (rank % 2 == 0)))).unresolved is None
 
 
 def test_a_noisy_sensor_proves_less(scanned):

@@ -78,6 +78,28 @@ def test_channels_that_repeat_are_seen_to_the_row(step, to_the_end, channels, st
     assert at_rest == []
 
 
+STOPPED = {
+    "rounded by another program": lambda shown, rows: (
+        shown * (1 + 1e-13 * np.random.default_rng(5).normal(size=shown.shape))
+    ),
+    "a drift taken off": lambda shown, rows: shown - 1e-3 * np.arange(len(shown))[:, None],
+    "a line across the gap": lambda shown, rows: np.where(
+        rows[:, None], np.linspace(shown[rows][0], shown[rows][0] + 9, len(shown)), shown
+    ),
+    "each value twice": lambda shown, rows: np.where(rows[:, None], shown, shown[np.arange(len(shown)) // 2 * 2]),
+}
+
+
+@pytest.mark.parametrize("done", STOPPED)
+def test_a_sensor_that_stopped_is_seen_whatever_was_done_to_its_rows(done):
+    shown, air = values(0.3, 1e-9)
+    rows = np.arange(len(shown)) > 2500
+    shown[rows] = shown[2500]
+    shown = STOPPED[done](shown, rows)
+    found = of_all(gaps(shown, air | rows, moving(len(shown))), len(shown))
+    assert (found != rows).sum() <= 2
+
+
 def test_a_saturated_channel_is_seen_and_a_peak_is_not():
     for step in (1e-9, 0.1):
         shown, air = values(0.1, step)

@@ -31,6 +31,7 @@ from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
+from scan3d.unmeasured import SEVERAL
 
 SAME_AXIS = 1e-8
 """Parallel axes differ by less than this in each component, which is rounding."""
@@ -439,7 +440,8 @@ def _section(stack: SliceStack, height: float) -> Array | None:
 def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[tuple[Array, Array]]:
     """Rectangles that the straight rods of some rows sweep, as four normals (4, 2) and values (4,) in a slice's frame.
 
-    Their lengths are in the unit of the recording; the sides at which a rod would be bent too little to be felt are left out.
+    Their lengths are in the unit of the recording; the sides at which a rod would be bent too little to be felt are left out,
+    and so is what lies between two rows that are much farther apart than others, where rows were lost.
     """
     scale = UNITS_M[recording.unit]
     place, axes = recording.position_m[rows] @ frame[:2].T / scale, recording.axes()[rows]
@@ -450,9 +452,14 @@ def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[
         along = axes[of_sweep, 1].mean(axis=0) @ frame[:2].T
         along /= np.linalg.norm(along)
         across = np.array([-along[1], along[0]])
-        base, side = place[of_sweep] @ along, place[of_sweep] @ across
-        values = base.min() + length, -base.max(), side.max() - felt * length, -(side.min() + felt * length)
-        areas.append((np.stack([along, -along, across, -across]), np.array(values)))
+        base, side = place[of_sweep] @ along, np.sort(place[of_sweep] @ across)
+        step = np.diff(side)
+        lost = (
+            np.flatnonzero(step > SEVERAL * np.median(step[step > 0])) + 1 if step.any() else np.empty(0, dtype=np.intp)
+        )
+        for part in np.split(side, lost):
+            values = base.min() + length, -base.max(), part[-1] - felt * length, -(part[0] + felt * length)
+            areas.append((np.stack([along, -along, across, -across]), np.array(values)))
     return areas
 
 
