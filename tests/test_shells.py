@@ -77,11 +77,13 @@ def test_a_cavity_stays_and_what_lies_in_it_is_a_part():
     assert trimesh.Trimesh(*united(*joined([outer, inner])), process=False).volume == pytest.approx(outer.volume)
 
 
-def test_a_part_that_is_turned_wrongly_is_turned():
-    wrong = box([1, 0, 0], [3, 1, 1])
-    wrong.invert()
-    union = united(*joined([box([0, 0, 0], [2, 1, 1]), wrong]))
-    assert trimesh.Trimesh(*union, process=False).volume == pytest.approx(3)
+@pytest.mark.parametrize(("start", "volume"), [(1, 3), (2, 4), (5, 4)])
+def test_a_part_that_is_turned_wrongly_is_turned(tmp_path, start, volume):
+    """Whether it overlaps another, touches it or lies apart; the volumes of both cancel."""
+    parts = [box([0, 0, 0], [2, 1, 1]), box([start, 0, 0], [start + 2, 1, 1])]
+    parts[1].invert()
+    assert trimesh.Trimesh(*united(*joined(parts)), process=False).volume == pytest.approx(volume)
+    assert load_mesh(save(tmp_path, trimesh.util.concatenate(parts), "parts.stl")).volume == pytest.approx(volume)
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-3, 1.0, 1e9])

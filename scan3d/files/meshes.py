@@ -205,10 +205,12 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
         kept = hulls.turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
         if len(kept) and hulls.runs_both_ways(kept):
-            # trimesh divides by a volume of 0 for the centre of mass
-            with np.errstate(divide="ignore", invalid="ignore"):
-                volume = float(body.volume)
-            if abs(volume) > NEGLIGIBLE * float(np.prod(body.extents)):
+            volume = _volume(body)
+            # parts that are turned both ways
+            if not volume and (found := united(vertices[used], kept)):
+                body = trimesh.Trimesh(*found, process=False)
+                volume = _volume(body)
+            if volume:
                 if volume < 0:
                     body.invert()
                 return body
@@ -224,6 +226,14 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
         f"{name} is open: {len(alone)} of its {len(edges)} edges belong to one face only, such as that at ({place}), where a "
         "closed body is expected; close it, or to scan its convex hull give --hull (hull=True)"
     )
+
+
+def _volume(body: trimesh.Trimesh) -> float:
+    """The volume within faces that are turned outwards; 0 of a body that has none beside its box."""
+    # trimesh divides by a volume of 0 for the centre of mass
+    with np.errstate(divide="ignore", invalid="ignore"):
+        volume = float(body.volume)
+    return volume if abs(volume) > NEGLIGIBLE * float(np.prod(body.extents)) else 0.0
 
 
 def read_mesh(path: str | os.PathLike[str], unit: str | None = None) -> trimesh.Trimesh:

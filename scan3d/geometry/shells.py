@@ -120,10 +120,10 @@ def united(points: Array, faces: Index) -> tuple[Array, Index] | None:
         around = (k for k in outwards if (boxes[k, 0] <= low).all() and (high <= boxes[k, 1]).all())
         holder = next((k for k in around if turns(corners[label == k] - place) > 0.5), None)
         turned[cavity], owner[cavity] = holder is None, cavity if holder is None else holder
-    numbers = np.unique(owner[owner >= 0])
+    numbers, outward = np.unique(owner[owner >= 0]), np.where(turned[label][:, None], faces[:, ::-1], faces)
     if not _any_meet(boxes[numbers]):
-        return None
-    return _union(scale, points, np.where(turned[label][:, None], faces[:, ::-1], faces), owner[label], numbers)
+        return (points, outward) if turned.any() else None
+    return _union(scale, points, outward, owner[label], numbers)
 
 
 def _union(scale: float, points: Array, faces: Index, owner: Index, numbers: Index) -> tuple[Array, Index] | None:
