@@ -264,6 +264,26 @@ def test_signals_of_a_transducer(tmp_path, planar, rows):
         imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
 
 
+NUMBERED = {
+    "from 0 in each slice again": lambda sweep: np.where(sweep >= 0, sweep % 3, -1),
+    "by slices": lambda sweep: np.where(sweep >= 0, sweep // 3, -1),
+    "0 between": lambda sweep: sweep + 1,
+    "until the next one": lambda sweep: np.maximum.accumulate(sweep),
+}
+
+
+@pytest.mark.parametrize("kind", NUMBERED)
+def test_numbers_that_come_again_or_stay_are_those_of_strokes(tmp_path, planar, kind):
+    log = track(planar)
+    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+    number = NUMBERED[kind](np.where(log.row >= 0, planar.sweep[log.row], -1))
+    data["columns"]["sweep"] = "n"
+    found = imported(tmp_path / "raw.csv", columns | {"n": number}, data)
+    assert found.summary.sweeps == len(np.unique(planar.sweep))
+    said = any("sweeps are those of the clamp's motion" in note for note in found.summary.notes)
+    assert said == (kind == "until the next one")
+
+
 @pytest.mark.parametrize("given", ["sweep", "move", "both"])
 def test_columns_of_sweeps_and_moves_are_used_where_they_are(tmp_path, planar, given):
     log = track(planar)

@@ -24,6 +24,7 @@ from scan3d.files.text import Transducer
 from scan3d.laboratory import probed, signals
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import (
+    DirectionError,
     Log,
     check_directions,
     ends,
@@ -197,6 +198,12 @@ def convert(table: Table, map: Map) -> Imported:
     try:
         imported = _converted(table, map)
     except InputError as error:
+        if isinstance(error, DirectionError) and map.columns.sweep is not None and map.columns.move is None:
+            with contextlib.suppress(InputError):  # a number that stays until the next sweep begins
+                imported = convert(table, replace(map, columns=replace(map.columns, sweep=None)))
+                words = f"rows of one number in {map.columns.sweep!r} are no straight stroke"
+                notes = (f"{words}: sweeps are those of the clamp's motion", *imported.summary.notes)
+                return replace(imported, summary=replace(imported.summary, notes=notes))
         for note in _other_frame(None, table, map):
             raise InputError(f"{error}; or {note}") from None
         if words := _better_reading(table, map, 0.5):

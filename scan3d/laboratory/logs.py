@@ -353,7 +353,7 @@ def _sweeps(table: Table, map: Map, move: NDArray[Any] | None) -> NDArray[np.int
     else:
         sweep = np.maximum(table.whole_numbers(column, gaps=True), -1)
     if move is None or measuring is None:
-        return sweep
+        return _by_runs(sweep)
     both = np.intersect1d(*(sweep[(move == kind) & (sweep >= 0)] for kind in (Move.SWEEP, Move.PROBE)))
     if len(both):
         k = int(np.argmax((sweep == both[0]) & (move == Move.PROBE)))
@@ -362,6 +362,19 @@ def _sweeps(table: Table, map: Map, move: NDArray[Any] | None) -> NDArray[np.int
             "well: number sweeps and probings apart, or correct the column of the move"
         )
     return np.where(measuring, sweep, -1)
+
+
+def _by_runs(sweep: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The sweeps (n,) where numbers come again: a number between the others is none, and each run of another is a sweep."""
+    start = np.flatnonzero(np.diff(sweep, prepend=-2))
+    number = sweep[start]
+    names, runs = np.unique(number[number >= 0], return_counts=True)
+    again = names[runs > 1]
+    if not len(again) or np.median(np.diff(start, append=len(sweep))) < _SHORTEST_RUN:  # rows of several sweeps in turn
+        return sweep
+    if len(again) == 1 and 2 * runs.max() > len(names):
+        return np.where(sweep == again[0], -1, sweep)
+    return np.where(sweep >= 0, np.cumsum(np.isin(np.arange(len(sweep)), start)) - 1, -1)
 
 
 def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | None]]:
@@ -400,6 +413,8 @@ def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
 OVER_JITTER = 20.0
 # The clamp turns if its axes change by more than this many radians over a displacement.
 _TURNING = 0.02
+# Rows in the usual run of one number that are a sweep, and not one of several in turn.
+_SHORTEST_RUN = 4
 
 
 def strokes(position: Array, quaternion: Array, length: float, axis: int = 0) -> tuple[NDArray[np.int64], Mask]:
@@ -562,6 +577,10 @@ def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) 
     return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
 
 
+class DirectionError(InputError):
+    """The sweeps of a log are not along -x of the clamp's frame."""
+
+
 def check_directions(
     map: Map,
     where: str,
@@ -571,7 +590,8 @@ def check_directions(
     touched: Mask,
     probing: Mask,
 ) -> None:
-    """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
+    """Raise DirectionError if most sweeps are not along -x of the clamp's frame, or do not hold the contacts, and InputError if
+    the clamp does not move in any.
 
     `where` is the name of the table; `touched` (n,) are the rows in contact, and `probing` (n,) those of probings.
     """
@@ -597,7 +617,7 @@ def check_directions(
     if axis == "+x":
         advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'
     way = "in no straight stroke" if axis == "-x" else f"mostly along {axis} of its own frame, and not"
-    raise InputError(
+    raise DirectionError(
         f"{where}: the clamp moves {'in contact ' if elsewhere else ''}{way} along -x as in a sweep; in {map.name} {advice}"
     )
 
