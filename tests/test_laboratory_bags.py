@@ -183,6 +183,20 @@ def test_what_a_killed_recorder_leaves(tmp_path, recording):
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "m" / "m.mcap").read_bytes()[:-9])
     with pytest.raises(InputError, match=r"killed: mcap recover cut\.mcap"):
         scan3d.import_table(tmp_path / "cut.mcap", map)
+    # of several files the one that is cut, and files under the names that a recorder gives them while it writes or compresses
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    (parts / "m_0.mcap").write_bytes((tmp_path / "m" / "m.mcap").read_bytes())
+    (parts / "m_1.mcap").write_bytes((tmp_path / "cut.mcap").read_bytes())
+    with pytest.raises(InputError, match=r"mcap recover m_1\.mcap"):
+        scan3d.import_table(parts, map)
+    for name, command in (
+        ("x.bag.active", r"mv x\.bag\.active x\.bag; rosbag reindex x\.bag"),
+        ("x.db3.zstd", "zstd -d x"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=command):
+            scan3d.import_table(tmp_path / name, map)
 
 
 @pytest.mark.parametrize(("kind", "ros"), [("Wrench", {}), ("Wrench", {"wrench": "ft"}), ("Pose", {})])

@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 
 # The files of ROS 2, and the memory for a message of a pose or a wrench: a dozen numbers, as Python has them.
 _PARTS, _MEMORY_PER_MESSAGE = (".db3", ".mcap"), 600
+# Files that recorders leave when they are killed, or compress, and the command that makes a bag of each.
+_TO_MAKE_WHOLE = {
+    ".bag.active": "its recorder was killed: mv {0} {1}.bag; rosbag reindex {1}.bag",
+    ".db3.zstd": "it is compressed: zstd -d {0}",
+    ".mcap.zstd": "it is compressed: zstd -d {0}",
+}
 _WRENCH, _POSE, _TF = "WrenchStamped", "PoseStamped", "TFMessage"
 NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 """Columns of the table of a bag, in SI units."""
@@ -45,8 +51,9 @@ def is_bag(path: str | Path) -> bool:
     """Whether a path is a ROS bag: a .bag, a folder with metadata.yaml or with files of ROS 2, or one of these files."""
     path = Path(path)
     if not path.is_dir():
-        return path.suffix in (".bag", *_PARTS)
-    return (path / "metadata.yaml").exists() or any(file.suffix in _PARTS for file in path.iterdir())
+        return path.name.endswith((".bag", *_PARTS, *_TO_MAKE_WHOLE))
+    endings = (*_PARTS, *_TO_MAKE_WHOLE)
+    return (path / "metadata.yaml").exists() or any(file.name.endswith(endings) for file in path.iterdir())
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -55,6 +62,10 @@ def bag_files(path: Path) -> list[Path]:
     A recorder that was killed has left no metadata.yaml, but files that are numbered.  Raises InputError if the bag is not
     there, if a part of it is a device or a pipe, and if a folder holds files that are not parts of one bag.
     """
+    for ending, command in _TO_MAKE_WHOLE.items():
+        compressed = [path] if path.is_file() else [] if (path / "metadata.yaml").exists() else path.glob(f"*{ending}")
+        for file in (file for file in compressed if file.name.endswith(ending)):
+            raise InputError(f"can't read {file.name} as it is: {command.format(file.name, file.name[: -len(ending)])}")
     folder = path.parent if path.suffix in _PARTS and (path.parent / "metadata.yaml").exists() else path
     try:
         files = sorted(folder.iterdir()) if folder.is_dir() else [folder]
@@ -72,6 +83,17 @@ def bag_files(path: Path) -> list[Path]:
             "name one of the files"
         )
     return parts
+
+
+def _is_cut(file: Path) -> bool:
+    """Whether a file of a bag can't be read by itself."""
+    from rosbags.highlevel import AnyReader
+
+    try:
+        with AnyReader([file]):
+            return False
+    except Exception:  # as in `read_bag`
+        return True
 
 
 def read_bag(path: str | Path, topics: Topics) -> Table:
@@ -99,7 +121,7 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
     except InputError:
         raise
     except Exception as error:  # rosbags has one of its own in each part; a damaged length gives a MemoryError
-        what, (file, *_) = " ".join(str(error).split()) or type(error).__name__, files
+        what, file = " ".join(str(error).split()) or type(error).__name__, next(filter(_is_cut, files), files[0])
         command = {
             ".bag": f"rosbag reindex {file.name}",
             ".mcap": f"mcap recover {file.name} -o whole.mcap",
