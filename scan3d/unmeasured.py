@@ -52,7 +52,8 @@ class Gap(NamedTuple):
     value: float
     """Of the channel; 0 for all of them, or if there are several stretches with one value each."""
     rows: Index
-    """Their numbers, increasing.  The first row of a stretch that repeats is not among them: it was measured."""
+    """Their numbers, increasing.  The first row of a stretch that repeats is not among them, unless it is an error code: it was
+    measured."""
 
 
 def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
@@ -88,12 +89,12 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
             found.append(gap)
             left[gap.rows] = True
 
-    add(Gap(-1, False, 0.0, _rows(stopped)))
+    add(Gap(-1, False, 0.0, _rows(stopped, values[:, varying])))
     for k in varying:
         for value, rows in _saturated(values[:, k], air, ~left):
             add(Gap(int(k), True, value, rows))
     for k, runs in zip(varying, alone, strict=True):
-        rows = _rows(runs)
+        rows = _rows(runs, values[:, [k]])
         rows = rows[~left[rows]]
         if len(rows) < SEVERAL:  # what is left of runs of all channels
             continue
@@ -230,9 +231,15 @@ def _beside(column: Array, start: int, stop: int) -> float:
     return max(found, default=1.0)
 
 
-def _rows(runs: list[tuple[int, int]]) -> Index:
-    """The rows of runs but the first of each, which was measured."""
-    parts = [np.arange(start + 1, stop) for start, stop in runs]
+def _rows(runs: list[tuple[int, int]], values: Array) -> Index:
+    """The rows of runs but the first of each, which was measured, unless its values (n, c) are far from all others: an error
+    code."""
+    others = np.ones(len(values), dtype=bool)
+    for start, stop in runs:
+        others[start:stop] = False
+    low, high = (bound(values[others], axis=0, initial=sign * np.inf) for bound, sign in ((np.min, 1), (np.max, -1)))
+    coded = ((values < 2 * low - high) | (values > 2 * high - low)).any(axis=1)
+    parts = [np.arange(start + (not coded[start]), stop) for start, stop in runs]
     return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
 

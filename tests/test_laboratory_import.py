@@ -264,6 +264,25 @@ def test_signals_of_a_transducer(tmp_path, planar, rows):
         imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
 
 
+def test_arrays_that_nobody_named_and_arrays_with_a_row_for_each_channel(tmp_path, planar):
+    """As of cameras that log beside the rod, and as MATLAB lays out."""
+    log = track(planar)
+    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+    expected = imported(tmp_path / "raw.csv", columns, data).recording
+    cameras = {f"camera{k}": np.arange(50.0) for k in range(40)}
+    places = {
+        key: np.stack([columns.pop(name) for name in names])
+        for key, names in (("p", "xyz"), ("w", ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]))
+    }
+    np.savez(tmp_path / "raw.npz", **columns, **places, **cameras)
+    w = [f"w_{k}" for k in range(6)]
+    data["columns"] |= {"position": [f"p_{k}" for k in range(3)], "force": w[:3], "moment": w[3:]}
+    chosen = read_map(data)
+    found = convert(load(tmp_path / "raw.npz", chosen), chosen).recording
+    assert np.array_equal(found.position_m, expected.position_m)
+    assert np.array_equal(found.moment_Nm, expected.moment_Nm)
+
+
 NUMBERED = {
     "from 0 in each slice again": lambda sweep: np.where(sweep >= 0, sweep % 3, -1),
     "by slices": lambda sweep: np.where(sweep >= 0, sweep // 3, -1),

@@ -78,6 +78,14 @@ def test_channels_that_repeat_are_seen_to_the_row(step, to_the_end, channels, st
     assert at_rest == []
 
 
+@pytest.mark.parametrize("code", [9999.0, -1e3])
+def test_an_error_code_is_left_out_from_its_first_row(code):
+    shown, air = values(0.3, 1e-9)
+    rows = (np.arange(len(shown)) >= 1200) & (np.arange(len(shown)) < 1500)
+    shown[rows] = code
+    assert np.array_equal(of_all(gaps(shown, air & ~rows, moving(len(shown))), len(shown)), rows)
+
+
 STOPPED = {
     "rounded by another program": lambda shown, rows: (
         shown * (1 + 1e-13 * np.random.default_rng(5).normal(size=shown.shape))

@@ -13,7 +13,7 @@ import math
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import date, datetime, time
 from functools import partial
@@ -33,6 +33,8 @@ _PICKLED = "holds Python objects, which are not read because they can run progra
 _TWO_RATES = "bring two rates to the same times, as by interpolation, and save arrays of one length"
 # An import holds each number up to about so many times, and needs so many bytes for a text.
 _COPIES, _TEXT, _WIDEST = 6, 100, 100
+# Rows of an array that may be channels, as MATLAB's files have them.
+_CHANNELS = 16
 
 
 class _Stored(NamedTuple):
@@ -44,6 +46,11 @@ class _Stored(NamedTuple):
     load: Callable[[], NDArray[Any]]
     refused: str = ""
     """Why it is not read, if it is not."""
+
+    def upright(self) -> _Stored:
+        """The array with a row for each of its many samples, and a column for each channel."""
+        lies = len(self.shape) == 2 and self.shape[0] <= _CHANNELS and self.shape[1] > _WIDEST
+        return self._replace(shape=self.shape[::-1], load=lambda: self.load().T) if lies else self
 
     def columns(self) -> list[str]:
         """Their names, of an array that is wider than any log those of the first ones."""
@@ -70,11 +77,12 @@ def check_single(file: str, header: Sequence[str], names: Iterable[str]) -> None
         raise InputError(f"{file}: its header has {', '.join(repeated)} more than once; keep one column of each name")
 
 
-def read_columns(path: Path) -> Columns:
+def read_columns(path: Path, wanted: Collection[str] = ()) -> Columns:
     """The columns of a file, and what is none.
 
-    Of files that hold arrays of any kind columns are the arrays of one or two axes whose first one is as long as those of most.
-    The columns of an array without a name are called by their numbers, from 1.  Raises InputError if a library is missing or
+    Of files that hold arrays of any kind columns are the arrays of one or two axes whose first one is as long as those of most,
+    or of most of the `wanted` columns; arrays with a row for each channel are turned.  The columns of an array without a name
+    are called by their numbers, from 1.  Raises InputError if a library is missing or
     can't read the file, if it holds no arrays, two of one name, or more than fits into memory, and OSError.
     """
     with _errors_named(path), ExitStack() as opened:
@@ -83,9 +91,12 @@ def read_columns(path: Path) -> Columns:
         check_single(path.name, names, sorted({*names}))
         refused = {one.name: one.refused for one in arrays if one.refused}
         kinds = [
-            one for one in arrays if one.dtype.kind in "iufbmMUSOV" and len(one.shape) in (1, 2) and not one.refused
+            one.upright()
+            for one in arrays
+            if one.dtype.kind in "iufbmMUSOV" and len(one.shape) in (1, 2) and not one.refused
         ]
-        lengths = Counter(one.shape[0] for one in kinds)
+        named = [one for one in kinds if not {*wanted}.isdisjoint(one.columns())]
+        lengths = Counter(one.shape[0] for one in named or kinds)
         if not lengths and refused:
             raise InputError(f"{path.name} {next(iter(refused.values()))}")
         if not lengths:
@@ -97,7 +108,7 @@ def read_columns(path: Path) -> Columns:
         for one in chosen:
             columns |= _split_array(one.name, one.load())
         others = {
-            name: f"has {one.shape[0]} rows, and {chosen[0].columns()[0]!r}, as most arrays of the file, {rows}; {_TWO_RATES}"
+            name: f"has {one.shape[0]} rows, and {chosen[0].columns()[0]!r}, as most arrays, {rows}; {_TWO_RATES}"
             for one in kinds
             if one.shape[0] != rows
             for name in one.columns()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -200,8 +200,12 @@ class Table:
         )
 
 
-def read_table(path: str | Path, layout: Layout | None = None, what: str = "table", name: str = "") -> Table:
+def read_table(
+    path: str | Path, layout: Layout | None = None, what: str = "table", name: str = "", wanted: Collection[str] = ()
+) -> Table:
     """Read a text table as its layout says, or another kind by its ending; messages call it `what` it is, and by its `name`.
+
+    Of arrays of several lengths those of the `wanted` columns are the table.
 
     Without a layout it is comma-separated, with the names in its first line, as this program writes tables.  Raises InputError
     with the file, the line and the column of an error, and what to do.
@@ -210,7 +214,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     name = name or path.name
     if path.suffix.lower() in ENDINGS:
         with _readable(path, what):
-            columns, others = read_columns(path)
+            columns, others = read_columns(path, wanted)
             names, values = tuple(columns), tuple(columns.values())
             return Table(name, names, values, layout=layout, sha256=sha256(path), others=others)
     text = _text(path, what)

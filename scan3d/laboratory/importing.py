@@ -144,7 +144,7 @@ def import_table(
 
 def load(path: str | Path, map: Map) -> Table:
     """The table of a file or a ROS bag."""
-    return read_bag(path, map.topics) if is_bag(path) else read_table(path, map.layout)
+    return read_bag(path, map.topics) if is_bag(path) else read_table(path, map.layout, wanted=map.columns.names())
 
 
 def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
@@ -206,7 +206,7 @@ def convert(table: Table, map: Map) -> Imported:
                 return replace(imported, summary=replace(imported.summary, notes=notes))
         for note in _other_frame(None, table, map):
             raise InputError(f"{error}; or {note}") from None
-        if words := _better_reading(table, map, 0.5):
+        if words := _better_reading(table, map, _HALF):
             raise InputError(f"{error}; all would be right if {words}") from None
         raise
     notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
@@ -258,7 +258,7 @@ def _converted(table: Table, map: Map) -> Imported:
         pressed = within[probing[within] & _touching(wrench, noise, _ANY)[within]]
         kept = np.union1d(kept, pressed[np.unique(sweep[pressed], return_index=True)[1]])
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
-    recording = _with_steps(recording, _in_clamp(_rounding(log.wrench), map, known))
+    recording = _with_steps(recording, _in_clamp(_rounding(log.wrench[measured]), map, known))
     count = len(kept)
     if recording.completed is not None:
         recording, single = completed(recording)

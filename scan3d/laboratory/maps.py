@@ -88,9 +88,15 @@ class Columns:
     time: Reference | None = None
     sweep: Reference | None = None
     move: Reference | None = None
+
     position_in: str = "world"
     """Frame of the position's components: world or clamp, for a body on a turntable; inverse: the world's origin in the clamp's
     frame, of which inverse poses have the position."""
+
+    def names(self) -> list[str]:
+        """Those of the columns that have one."""
+        vectors = (*self.position, *self.orientation.columns, *self.force, *self.moment, *self.signals)
+        return [name for name in (*vectors, self.time, self.sweep, self.move) if isinstance(name, str) and name]
 
 
 @dataclass(frozen=True)
