@@ -31,6 +31,8 @@ from scan3d.units import unit_of_cell
 
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
+# A number as Fortran writes it in double precision.
+_FORTRAN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+")
 # What programs write where there is no value, beside nan.
 NO_VALUE = ("", "na", "n/a", "null", "none", "-", "--")
 
@@ -67,7 +69,7 @@ class Layout:
     def is_number(self, cell: str) -> bool:
         """Whether a cell is a number with the decimal sign of the table."""
         try:
-            float(cell.replace(",", ".") if self.decimal == "," else cell)
+            _number(cell.replace(",", ".") if self.decimal == "," else cell)
         except ValueError:
             return False
         return not (self.decimal == "," and "." in cell)
@@ -278,13 +280,13 @@ def _readable(path: Path, what: str) -> Iterator[None]:
 
 
 def _text(path: Path, what: str) -> str:
-    """The text of a sheet, or of a file in UTF-8, UTF-16 with its mark, or Latin-1."""
+    """The text of a sheet, or of a file in UTF-8, UTF-16 with its mark, or Latin-1, with the minus signs of programs."""
     with _readable(path, what):
         if path.suffix.lower() in SHEETS:
             return sheet_text(path)
         data = path.read_bytes()
     try:
-        return decoded(data)
+        return decoded(data).replace("\u2212", "-")
     except ValueError:
         return data.decode("latin-1")
 
@@ -300,6 +302,11 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     return [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), []) for line in lines]
 
 
+def _number(cell: str) -> float:
+    """The number in a cell, whose exponent may be Fortran's.  Raises ValueError."""
+    return float(cell.lower().replace("d", "e") if _FORTRAN.fullmatch(cell.strip()) else cell)
+
+
 def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str] | None]:
     """Numbers (n,), NaN where a cell holds none, and the first cell, with its row, that holds something else."""
     cells = [cell.replace(",", ".") for cell in cells] if decimal == "," else list(cells)
@@ -310,7 +317,7 @@ def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str]
     values, wrong = np.full(len(cells), np.nan), None
     for row, cell in enumerate(cells):
         try:
-            values[row] = float(cell)
+            values[row] = _number(cell)
         except ValueError:
             if cell.strip().lower() not in NO_VALUE and wrong is None:
                 wrong = row, str(cell)
