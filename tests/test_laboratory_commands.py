@@ -204,6 +204,8 @@ def test_titles_and_units_are_found_by_the_guess(tmp_path):
     (tmp_path / "log.csv").write_text("A title\n\nt\tx\ty\ns\tmm\tmm\n" + "0,5\t1,5\t2,5\n" * 4)
     data = tomllib.loads(guess_map(tmp_path / "log.csv").text)
     assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
+    (tmp_path / "log.csv").write_text("time_s,Fx_N\n" + "0.5,1.5,\n" * 4)
+    assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["columns"]["time"] == "time_s"
 
 
 def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):

@@ -135,6 +135,7 @@ def test_what_a_map_announces_is_read(tmp_path):
         (with_cell(3, "Fy", ""), {"missing": "drop"}),
         (with_cell(3, "Fy", "N/A"), {"missing": "drop"}),
         ([HEADER, *(f"{line}," for line in lines()[1:])], {}),
+        ([*lines(), *3 * [",," * 7]], {}),
         ([HEADER, *(line.replace("-", "\u2212") for line in lines()[1:])], {}),
         ([HEADER, *(re.sub(r"([^,]+)", lambda cell: f"{float(cell[1])!r}D+00", line) for line in lines()[1:])], {}),
         ([HEADER, *(re.sub("^[^,]+", date, line) for date, line in zip(dates, lines()[1:], strict=True))], {}),

@@ -63,8 +63,8 @@ class Layout:
         return bool(self.comment) and line.lstrip().startswith(self.comment)
 
     def holds(self, line: str) -> bool:
-        """Whether a line is neither empty nor a comment."""
-        return not (line.isspace() or not line or self.comments(line))
+        """Whether a line is neither a comment nor empty, as those are below the rows of a sheet."""
+        return bool(line.strip(f'{self.delimiter} \t\r\n"')) and not self.comments(line)
 
     def is_number(self, cell: str) -> bool:
         """Whether a cell is a number with the decimal sign of the table."""
@@ -409,6 +409,8 @@ def guessed_head(lines: Sequence[str], layout: Layout) -> Head:
     first = len(lines) + 1
     for number, line in enumerate(lines, 1):
         cells = best.cells(line) if line.strip() else []
+        if len(cells) == count - 1 and data[-1].rstrip().endswith(best.delimiter):  # rows may end with a separator
+            cells.append("")
         if len(cells) != count:
             continue
         if not best.comments(line) and 2 * sum(_is_any_number(cell) or not cell for cell in cells) > len(cells):
