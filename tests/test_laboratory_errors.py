@@ -274,24 +274,36 @@ def test_blanks_before_quotes(tmp_path):
         assert '\\"' not in guess_map(tmp_path / "log.csv").text
 
 
-def labview(rows, delimiter="\t", decimal=".", comment=""):
+def labview(rows, delimiter="\t", decimal=".", comment="", more=""):
     """What "Write To Measurement File" makes of a table, after National Instruments' specification of the text format."""
-    separator = {"\t": "Tab", ",": "Comma"}[delimiter]
+    separator = {"\t": "Tab", ",": "Comma", ";": "Semicolon"}[delimiter]
     head = ["LabVIEW Measurement", "Writer_Version\t2", "Reader_Version\t2", f"Separator\t{separator}"]
     head += [f"Decimal_Separator\t{decimal}", "Multi_Headings\tNo", "X_Columns\tOne", "***End_of_Header***", ""]
     head += ["Channels\t13", "Samples\t70", "X_Dimension\tTime", "***End_of_Header***"]
     names, *values = ([cell.replace(".", decimal) for cell in row.split(",")] for row in rows)
     table = [[*("X_Value" if name == "t" else name for name in names), "Comment"], [*values[0], comment], *values[1:]]
     lines = [f"{line}\t".replace("\t", delimiter) for line in head]
-    return [*lines, *(delimiter.join(row) for row in table)]
+    if more == "no times":
+        lines[6:6] = [
+            f"X0\t0{decimal}0\t".replace("\t", delimiter),
+            f"Delta_X\t0{decimal}01\t".replace("\t", delimiter),
+        ]
+        lines = [line.replace("One", "No") for line in lines]
+        table = [table[0], *(["", *row[1:]] for row in table[1:])]
+    rows = [delimiter.join(row) for row in table]
+    if more == "headers":
+        lines = [line.replace(f"Headings{delimiter}No", f"Headings{delimiter}Yes") for line in lines]
+        rows[20:20] = ["", *lines[-4:], rows[0]]
+    return [*lines, *rows]
 
 
 @pytest.mark.parametrize("comment", ["", "the first"])
-@pytest.mark.parametrize(("delimiter", "decimal"), [("\t", "."), ("\t", ","), (",", ".")])
-def test_files_of_labview(tmp_path, delimiter, decimal, comment):
+@pytest.mark.parametrize("more", ["", "headers", "no times"])
+@pytest.mark.parametrize(("delimiter", "decimal"), [("\t", "."), ("\t", ","), (",", "."), (";", ",")])
+def test_files_of_labview(tmp_path, delimiter, decimal, comment, more):
     expected, made = import_table(put(tmp_path, lines()), data()), data()
     made["columns"]["time"] = "X_Value"
-    rows = labview(lines(), delimiter, decimal, comment)
+    rows = labview(lines(), delimiter, decimal, comment, more)
     for table in ({}, {"header": rows.index(next(row for row in rows if row.startswith("X_Value"))) + 1}):
         found = import_table(put(tmp_path, rows), made | {"table": table})
         assert np.array_equal(found.force_N, expected.force_N)

@@ -31,6 +31,7 @@ from scan3d.units import unit_of_cell
 
 # Delimiters in the order in which they are tried; a space stands for any white space.
 _DELIMITERS = (";", "\t", ",", " ")
+_END_OF_HEADER = "***End_of_Header***"
 # A number as Fortran writes it in double precision.
 _FORTRAN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+")
 # What programs write where there is no value, beside nan.
@@ -224,6 +225,7 @@ def read_table(
         layout = replace(layout or Layout(), delimiter="\t", decimal=".")
     lines = _first_lines(name, text)
     layout = _labview(lines, layout)
+    text = _one_heading(text, lines)
     if layout is None:
         head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
         return replace(_parsed(name, text, head), layout=None)
@@ -244,12 +246,11 @@ def _labview(lines: Sequence[str], layout: Layout | None) -> Layout | None:
 
     They have the separators, each ends with a line of its own, and the names follow the last one.
     """
-    ends = [number for number, line in enumerate(lines, 1) if line.startswith("***End_of_Header***")]
+    ends, words = _heading(lines)
     if not ends:
         return layout
-    words = {pair[0]: pair[1].strip() for line in lines[: ends[-1]] if len(pair := line.split(maxsplit=1)) == 2}
     layout = layout or Layout()
-    delimiter = {"Tab": "\t", "Comma": ","}.get(words.get("Separator", ""), "")
+    delimiter = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}.get(words.get("Separator", ""), "")
     return replace(
         layout,
         delimiter=layout.delimiter or delimiter,
@@ -258,6 +259,34 @@ def _labview(lines: Sequence[str], layout: Layout | None) -> Layout | None:
         if layout.header is None
         else layout.header,
     )
+
+
+def _heading(lines: Sequence[str]) -> tuple[list[int], dict[str, str]]:
+    """The lines that end LabVIEW's headers, up to the names of the first data, and what these state, of several channels of the
+    first one."""
+    ends = [number for number, line in enumerate(lines, 1) if line.startswith(_END_OF_HEADER)][:2]
+    found = (re.match(r"(\w+)([\t;, ])(.*?)(?:\2|$)", line) for line in lines[: ends[-1] if ends else 0])
+    return ends, {pair[1]: pair[3].strip() for pair in found if pair}
+
+
+def _one_heading(text: str, lines: Sequence[str]) -> str:
+    """The text of LabVIEW's file with empty lines for further headers, and with its times where they are not in a column."""
+    ends, words = _heading(lines)
+    if not ends:
+        return text
+    rows = text.splitlines()
+    start = next((k for k in range(ends[-1], len(rows)) if rows[k].strip()), ends[-1]) + 1  # below the names
+    if words.get("Multi_Headings") == "Yes":
+        begins = [k for k in range(start, len(rows)) if rows[k].startswith("Channels")]
+        for k in begins:
+            stop = next((j for j in range(k, len(rows)) if rows[j].startswith(_END_OF_HEADER)), len(rows))
+            rows[k : stop + 2] = [""] * len(rows[k : stop + 2])
+    if words.get("X_Columns") == "No":
+        begin, step = (float(words.get(key, "0").replace(",", ".")) for key in ("X0", "Delta_X"))
+        data = (k for k in range(start, len(rows)) if rows[k].strip())
+        for count, k in enumerate(data):
+            rows[k] = f"{begin + count * step:.12g}".replace(".", words.get("Decimal_Separator", ".")) + rows[k]
+    return "\n".join(rows) + "\n"
 
 
 def _first_lines(name: str, text: str) -> list[str]:
