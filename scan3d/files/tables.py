@@ -281,11 +281,12 @@ def _one_heading(text: str, lines: Sequence[str]) -> str:
         for k in begins:
             stop = next((j for j in range(k, len(rows)) if rows[j].startswith(_END_OF_HEADER)), len(rows))
             rows[k : stop + 2] = [""] * len(rows[k : stop + 2])
-    if words.get("X_Columns") == "No":
-        begin, step = (float(words.get(key, "0").replace(",", ".")) for key in ("X0", "Delta_X"))
-        data = (k for k in range(start, len(rows)) if rows[k].strip())
+    sign = words.get("Decimal_Separator", ".")
+    x0, step = (words.get(key, "").replace(",", ".") for key in ("X0", "Delta_X"))
+    if words.get("X_Columns") == "No" and Layout().is_number(x0) and Layout().is_number(step):
+        data = (k for k in range(start, len(rows)) if rows[k].startswith(("\t", ";", ",")))
         for count, k in enumerate(data):
-            rows[k] = f"{begin + count * step:.12g}".replace(".", words.get("Decimal_Separator", ".")) + rows[k]
+            rows[k] = f"{float(x0) + count * float(step):.12g}".replace(".", sign) + rows[k]
     return "\n".join(rows) + "\n"
 
 

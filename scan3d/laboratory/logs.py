@@ -365,14 +365,15 @@ def _sweeps(table: Table, map: Map, move: NDArray[Any] | None) -> NDArray[np.int
 
 
 def _by_runs(sweep: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The sweeps (n,) where numbers come again: a number between the others is none, and each run of another is a sweep."""
+    """The sweeps (n,) where numbers come again: one between all others is none, and each run of another is a sweep."""
     start = np.flatnonzero(np.diff(sweep, prepend=-2))
     number = sweep[start]
     names, runs = np.unique(number[number >= 0], return_counts=True)
     again = names[runs > 1]
     if not len(again) or np.median(np.diff(start, append=len(sweep))) < _SHORTEST_RUN:  # rows of several sweeps in turn
         return sweep
-    if len(again) == 1 and 2 * runs.max() > len(names):
+    between = runs.max() > 2 and any((number[k::2] == names[runs.argmax()]).all() for k in (0, 1))
+    if len(again) == 1 and len(names) > 1 and between:
         return np.where(sweep == again[0], -1, sweep)
     return np.where(sweep >= 0, np.cumsum(np.isin(np.arange(len(sweep)), start)) - 1, -1)
 
