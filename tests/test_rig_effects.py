@@ -120,6 +120,14 @@ def test_the_length_moves_contacts_to_the_tip_only(flat):
         assert still == right
 
 
+def test_a_rig_without_errors_moves_nothing(flat):
+    exact = dataclasses.replace(flat, rig=RigUncertainty(("clamp_x_m",), np.zeros((1, 1))))
+    assert effects(exact, np.arange(3), "planar").place.shape == (3, 3, 0)
+    assert np.array_equal(
+        scan3d.reconstruct(exact).points, scan3d.reconstruct(dataclasses.replace(flat, rig=None)).points
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_a_turned_and_scaled_world_changes_nothing(request, model):

@@ -172,7 +172,8 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
         components = np.vstack([components, np.zeros((len(channels), components.shape[1]))])
         of_wrench = np.vstack([of_wrench, relative * np.eye(6)[channels]])
     errors, added = (
-        np.vstack([0 * part[:1], part, -part]) for part in (step[:, None] * components, step[:, None] * of_wrench)
+        np.vstack([np.zeros(part.shape[1]), part, -part])
+        for part in (step[:, None] * components, step[:, None] * of_wrench)
     )
     wrench = np.hstack(_wrench(recording, rows)) + size[:, None] * added[:, None]
     found, moved = _contacts(recording, rows, wrench, errors, model), []
