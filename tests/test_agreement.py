@@ -17,6 +17,7 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import joined, of_rows
+from tests.robustness import bounds
 
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
 RASTER = {"directions": 5, "heights": 6, "substeps": 2}
@@ -96,6 +97,15 @@ def test_a_body_that_is_not_convex_contradicts_the_model(undiagnosed):
     )
     assert remarks(one) == remarks(other) == []
     assert remarks(joined([one, other])) == ["beyond-tangent"]
+
+
+def test_a_zero_that_is_off_is_told_from_a_light_touch():
+    """A long rod's moment leaves its noise, and grows, well before its force is felt; an offset is there from the first row."""
+    draw = bounds.drawn(9523)
+    light = bounds.rounded(scan3d.simulate(draw.mesh, draw.plan), draw.digits)
+    assert remarks(light) == []
+    offset = 7 * light.noise.of_reactions(light.rod)[1] * light.rod.force_unit_N * light.rod.length_m
+    assert "off-zero" in remarks(replace(light, moment_Nm=light.moment_Nm + offset))
 
 
 def test_friction_across_a_thick_rod_is_not_remarked_on_but_a_larger_torsion_is(right, undiagnosed):

@@ -491,11 +491,14 @@ def _off_zero(recording: Recording) -> list[Contradiction]:
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         touched = np.flatnonzero(pressed[start:stop])
         before, after = (int(touched[0]), stop - start - 1 - int(touched[-1])) if len(touched) else (stop - start, 0)
-        for part in (scaled[start : start + before // 2], scaled[stop - after // 2 : stop]):
+        for part in (scaled[start : start + before // 2], scaled[stop - after // 2 : stop][::-1]):
             if len(part) < 10:
                 continue
             count += 1
-            size = float(np.abs(np.median(part, axis=0)).max())
+            # a light touch, whose moment grows before its force is felt, grows from zero: the line through the medians of
+            # both halves tells where the stretch begins
+            outer, inner = (np.median(half, axis=0) for half in np.array_split(part, 2))
+            size = float(np.abs(1.5 * outer - 0.5 * inner).max())
             if size > FORCE_SIGMAS / 2 + 5 / np.sqrt(len(part)):
                 largest, off = max(largest, size), off + 1
     if not off:
