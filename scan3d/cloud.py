@@ -82,6 +82,8 @@ class Unmeasured(NamedTuple):
 
     rows: Index
     """(w,) their numbers, from 0."""
+    repeated: Index
+    """Those in which a sensor that is slower than its log shows the row before: a sweep goes on across them."""
     words: tuple[str, ...]
     """What was not measured in them, in sentences."""
     poses: bool

@@ -15,7 +15,7 @@ Poses that a logger repeats, because it asks for them less often than for the wr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import NamedTuple
 
@@ -50,10 +50,12 @@ class Gap(NamedTuple):
     saturated: bool
     """Whether the channel is at the end of its range; else it repeats one value."""
     value: float
-    """Of the channel; 0 for all of them, or if there are several stretches with one value each."""
+    """Of the channel, 0 for several stretches with one value each; of all of them 0 if that is their value, else NaN."""
     rows: Index
     """Their numbers, increasing.  The first row of a stretch that repeats is not among them, unless it is an error code: it was
     measured."""
+    every: float = 0.0
+    """Mean number of rows for each value of a sensor that is slower than its log, which repeats it; else 0."""
 
 
 def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
@@ -77,7 +79,8 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
     )
     stopped = _repeating(fresh, values[:, varying], np.minimum(still + _STILL, 1.0), pose)
     # a sensor may be slower than its log
-    if not _noisy(values[:, varying], air & fresh, len(stopped), int(SEVERAL)):
+    usual = len(values) / fresh.sum()
+    if not _noisy(values[:, varying], air & fresh, len(stopped), int(SEVERAL * usual)):
         return []
     alone = [_repeating(differs[:, j], values[:, [k]], chances[[j]], pose) for j, k in enumerate(varying)]
     for j, k in enumerate(varying):
@@ -89,9 +92,14 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
             found.append(gap)
             left[gap.rows] = True
 
-    add(Gap(-1, False, 0.0, _rows(stopped, values[:, varying])))
+    rows = _rows(stopped, values[:, varying])
+    add(Gap(-1, False, float("nan") if values[rows].any() else 0.0, rows))
+    first = np.flatnonzero(fresh)[np.cumsum(fresh) - 1]
+    slow = ~left & (pose != pose[first]).any(axis=1)
+    if (count := int(slow.sum())) > SEVERAL and pdtrc(count - 1, SEVERAL * _together(changes[~left])) < CHANCE:
+        add(Gap(-1, False, 0.0, np.flatnonzero(slow), usual))
     for k in varying:
-        for value, rows in _saturated(values[:, k], air, ~left):
+        for value, rows in _saturated(values[:, k], air, ~left, fresh):
             add(Gap(int(k), True, value, rows))
     for k, runs in zip(varying, alone, strict=True):
         rows = _rows(runs, values[:, [k]])
@@ -102,7 +110,7 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
     return found
 
 
-def of_all(found: list[Gap], count: int) -> Mask:
+def of_all(found: Iterable[Gap], count: int) -> Mask:
     """(n,) the rows in which anything was not measured."""
     rows = np.zeros(count, dtype=bool)
     for gap in found:
@@ -155,6 +163,9 @@ def _sentence(
 ) -> str:
     rows = gap.rows
     name = "the wrench" if gap.channel < 0 else names[gap.channel]
+    if gap.every:
+        often = f"in {len(gap.rows):,} rows, and changes every {gap.every:.3g} rows only"
+        return f"{name} repeats the row before {often}: the sensor is slower than the log; these rows are left out"
     if gap.saturated:
         at = f"{name} is at {shown(gap.channel, gap.value)}, the end of its range, in {len(rows):,} rows"
         return f"{at}: the sensor saturates; these rows are left out"
@@ -166,6 +177,8 @@ def _sentence(
         times = f"in {len(stretches)} stretches, the longest of them {times}"
     value = "one value" if gap.channel < 0 or len(stretches) > 1 else shown(gap.channel, gap.value)
     what = "the sensor stopped" if gap.channel < 0 else "the channel is frozen"
+    if gap.channel < 0 and gap.value == 0:
+        value, what = "zero", f"{what}, or the log is that of a simulation, whose air has no noise"
     size = len(rows) + len(stretches)
     return f"{name} keeps {value} {times} ({size:,} rows) while the clamp moves: {what}; these rows are left out"
 
@@ -211,6 +224,19 @@ def _repeating(differs: Mask, values: Array, chances: Array, pose: Array) -> lis
     return found
 
 
+def _together(changes: Mask) -> float:
+    """Rows in which channels (n, c) repeat together by chance, as each of them does where another one changes."""
+    found = 0.0
+    for part in np.array_split(changes, max(1, len(changes) // _BESIDE)):
+        fresh, chance = part.any(axis=1), 0.0
+        if fresh.any():
+            alone = 1 - part[fresh].mean(axis=0)
+            for _ in range(_FEWEST):
+                chance = float((alone * (1 - chance) + chance).prod())
+        found += chance * len(part)
+    return found
+
+
 def _longest(chance: float, count: int) -> float:
     """The longest run among so many rows that is chance, where a value repeats with this probability."""
     if chance >= 1:
@@ -227,7 +253,8 @@ def _beside(column: Array, start: int, stop: int) -> float:
         differs = np.append(True, change != 0)[: len(rows)]
         if differs.sum() > _FEWEST:
             still = float((change <= _STILL * np.quantile(change, 0.9)).mean())
-            found.append(max(still, _chance(rows, np.ones(len(rows), dtype=bool), differs)))
+            # what repeats more often than not is in the middle of a step, and may stay there
+            found.append(1.0 if still > 0.5 else max(still, _chance(rows, np.ones(len(rows), dtype=bool), differs)))
     return max(found, default=1.0)
 
 
@@ -305,15 +332,20 @@ def _noisy(values: Array, fresh: Mask, runs: int, apart: int = 1) -> bool:
     return bool((np.sign(before) * np.sign(after)).sum() < 0)
 
 
-def _saturated(column: Array, air: Mask, rows: Mask) -> list[tuple[float, Index]]:
-    """The extreme values of a channel (n,) that many of the rows share, and which rows; none of them is in the air."""
+def _saturated(column: Array, air: Mask, rows: Mask, fresh: Mask) -> list[tuple[float, Index]]:
+    """The extreme values of a channel (n,) that many of the rows share, and which rows; none of them is in the air.
+
+    fresh
+        (n,) rows that do not repeat the ones before, which alone are counted.
+    """
     found: list[tuple[float, Index]] = []
-    known, step = column[rows], _step(column)
+    known, step = column[rows & fresh], _step(column)
     if not len(known):
         return found
     for extreme, sign in ((known.min(), 1.0), (known.max(), -1.0)):
         at = rows & (column == extreme)
-        beside, count = sign * (known - extreme), int(at.sum())
+        beside = sign * (known - extreme)
+        count = int((beside == 0).sum())
         # a peak has hardly more rows within the last step than within the one before, and of those within more steps no larger
         # part than a parabola; few rows may lie there by chance
         next_one = int(((beside > 0) & (beside < 1.5 * step)).sum())
@@ -344,6 +376,10 @@ _FINE = 1e-4
 _TENTH = 0.1
 # Ratio up to which speeds and ways are alike.
 _ALIKE = 1.5
+# Runs on either side that tell how the channels go on: three where that many follow each other.
+_BESIDE_IT = (3, 1)
+# Standard deviations of the noise by which a row may be off a value.
+_SIGMAS = 4.0
 
 
 def held_poses(position: Array, quaternion: Array, values: Array, length: float) -> Held | None:
@@ -365,7 +401,7 @@ def held_poses(position: Array, quaternion: Array, values: Array, length: float)
     every, usual = (median_filter(column, 7, mode="mirror") for column in (count, way))
     speed = median_filter(way / count, 7, mode="mirror")
     moves = way > _FINE * length
-    regular = moves & (count > 1) & (count <= 2 * every + 1) & (way <= _ALIKE * speed * count)
+    regular = moves & (count <= SEVERAL * every) & (way <= _ALIKE * speed * count)
     regular &= speed * count <= _ALIKE * way
     long = (count > SEVERAL * np.maximum(every, 1)) & ~regular
     stale = long & (moves & (way > _ALIKE * usual))
@@ -396,7 +432,7 @@ def held_poses(position: Array, quaternion: Array, values: Array, length: float)
         place[rows] = np.stack([np.interp(rows, row, column) for column in known.T], axis=1)
         turns = Rotation.from_quat(quaternion[start[pose]], scalar_first=True)
         turn[rows] = Slerp(row, turns)(np.minimum(rows, row[-1])).as_quat(scalar_first=True)
-    usual_rows = float(np.median(count[regular])) if regular.any() else 1.0
+    usual_rows = float(count[regular].mean()) if regular.any() else 1.0
     return Held(place, turn, usual_rows, rows, np.flatnonzero(lost))
 
 
@@ -404,25 +440,30 @@ def _moves_on(values: Array, start: Index, count: Array, regular: Mask) -> bool:
     """Whether the channels (n, c) go on within runs of equal poses as from run to run; they do not where the clamp stops."""
     scale = np.ptp(values, axis=0)
     scaled = values[:, scale > 0] / scale[scale > 0]
-    middle = np.flatnonzero(regular[:-2] & regular[1:-1] & regular[2:]) + 1
-    if not len(middle) or not scaled.size:
+    if not scaled.size:
         return False
     mean = np.add.reduceat(scaled, start, axis=0) / count[:, None]
-    across = mean[middle + 1] - mean[middle - 1]
-    size = np.linalg.norm(across, axis=1)
-    within = scaled[start[middle] + count[middle].astype(np.intp) - 1] - scaled[start[middle]]
-    # noise says nothing, and a rod that snaps off counts once, not by its square
-    telling = size >= np.quantile(size, 0.9)
-    along = (within * across).sum(axis=1)[telling] / size[telling]
-    # a clamp that moves evenly goes (m - 1) / 2m of the way across within a run of m rows
-    expected = size[telling] * (count[middle[telling]] - 1) / (2 * count[middle[telling]])
-    return bool(along.sum() > expected.sum() / 4)
+    within = scaled[start + count.astype(np.intp) - 1] - scaled[start]
+    sums, rows = np.cumsum(np.vstack([0 * mean[:1], mean]), axis=0), np.append(0.0, np.cumsum(count))
+    for runs in _BESIDE_IT:
+        alike = np.convolve(regular, np.ones(2 * runs + 1), "same") > 2 * runs + 0.5
+        at = np.flatnonzero(alike & (count > 1))
+        if not len(at):
+            continue
+        across = (sums[at + runs + 1] - sums[at + 1] - sums[at] + sums[at - runs]) / runs
+        apart = (rows[at + runs + 1] + rows[at + 1] - rows[at] - rows[at - runs]) / 2
+        size = np.linalg.norm(across, axis=1)
+        telling = (size >= np.quantile(size, 0.9)) & (size > 0)  # noise says nothing
+        # 1 of a clamp that moves evenly, 0 of one that stops; a rod that snaps off counts as one run
+        part = (within[at] * across).sum(axis=1)[telling] / size[telling] ** 2 * (apart / (count[at] - 1))[telling]
+        # noise alone has either sign alike
+        if len(part) and np.median(part) > 0.25 and np.sign(part).sum() > _SIGMAS * np.sqrt(len(part)):
+            return True
+    return False
 
 
 # Blocks of a log in which the zero is looked for, their rows at least, and the part of these that have it at least.
 _BLOCKS, _ROWS, _LEAST = 60, 40, 0.2
-# Standard deviations of the noise by which a row may be off a value.
-_SIGMAS = 4.0
 # Standard deviations of the noise, or steps of a converter, by which a zero that jumps is off at least.
 _JUMP = 8.0
 # Rows that a jump takes at most, as where the wrench of a log is interpolated or its sensor filters.

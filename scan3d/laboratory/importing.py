@@ -277,7 +277,9 @@ def _converted(table: Table, map: Map) -> Imported:
         table=table.name,
         rows=len(table) + sum(table.left_out.values()),
         seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
-        rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
+        rate_hz=None
+        if log.time_s is None or clock[-1] == clock[0]
+        else float((len(log) + log.repeated - 1) / (clock[-1] - clock[0])),
         samples=len(recording),
         sweeps=sweeps,
         probings=len(np.unique(sweep[kept][probing[kept]])),
@@ -285,7 +287,8 @@ def _converted(table: Table, map: Map) -> Imported:
         six_axis=recording.six_axis,
         left_out={
             **table.left_out,
-            "without numbers": len(table) - len(log),
+            "without numbers": len(table) - len(log) - log.repeated,
+            "repeated": log.repeated,
             "between sweeps": int((sweep < 0).sum()),
             "not measured": int((~measured & (sweep >= 0)).sum()),
             "blurred by the filter": int((sensed.blurred & measured & (sweep >= 0)).sum()),

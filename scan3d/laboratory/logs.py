@@ -54,6 +54,8 @@ class Log:
     """(n,) row of the table."""
     unmeasured: Mask
     """(n,) rows whose wrench or pose was not measured."""
+    repeated: int
+    """Rows of the table that are not among these, because the sensor is slower than the table."""
     notes: tuple[str, ...]
     """Which ones these are, and which poses were interpolated."""
 
@@ -69,13 +71,13 @@ def read_log(table: Table, map: Map) -> Log:
     wrench, present, shown = _wrench(table, map)
     time = None if columns.time is None else _time(table, map, columns.time)
     pose = np.concatenate([position, orientation], axis=1)
-    unmeasured, notes = _unmeasured(shown, wrench, pose, time)
+    unmeasured, repeated, notes = _unmeasured(shown, wrench, pose, time)
     if map.wrench_delay_s:
-        wrench = _undelayed(wrench, time, map, table)
+        wrench = _undelayed(wrench, time, map, table, ~repeated)
         # what is interpolated from a row that was not measured was not either
-        unmeasured = _undelayed(unmeasured[:, None].astype(np.float64), time, map, table)[:, 0] > 0
+        unmeasured = _undelayed(unmeasured[:, None].astype(np.float64), time, map, table, ~repeated)[:, 0] > 0
     kept = (np.abs(np.concatenate([pose, wrench], axis=1)) < LARGEST).all(axis=1)
-    kept &= True if time is None else np.isfinite(time)
+    kept &= ~repeated if time is None else np.isfinite(time) & ~repeated
     if not kept.any():
         raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")
     row = np.flatnonzero(kept)
@@ -102,6 +104,7 @@ def read_log(table: Table, map: Map) -> Log:
         probe=None if move is None else (move == Move.PROBE)[row],
         row=row,
         unmeasured=unmeasured,
+        repeated=int(repeated.sum()),
         notes=notes,
     )
     if log.time_s is not None and len(log) > 1:
@@ -165,16 +168,18 @@ def _wrench(table: Table, map: Map) -> tuple[Array, Mask, _Shown]:
     return wrench, present, _Shown(signals, titles, lambda _, value: f"{value:.4g}")
 
 
-def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -> tuple[Mask, tuple[str, ...]]:
-    """The rows (n,) in which a channel repeats or is saturated, and sentences on them."""
+def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -> tuple[Mask, Mask, tuple[str, ...]]:
+    """The rows (n,) in which a channel repeats or is saturated, those that a sensor slower than its log repeats, and sentences
+    on them."""
     known = np.flatnonzero(np.isfinite(np.concatenate([shown.values, pose], axis=1)).all(axis=1))
-    rows = np.zeros(len(pose), dtype=bool)
+    rows, repeated = np.zeros((2, len(pose)), dtype=bool)
     if not len(known):
-        return rows, ()
+        return rows, repeated, ()
     found = gaps(shown.values[known], roughly_air(wrench[known]), pose[known])
-    rows[known] = of_all(found, len(known))
+    rows[known] = of_all((gap for gap in found if not gap.every), len(known))
+    repeated[known] = of_all((gap for gap in found if gap.every), len(known))
     at = (lambda k: f"row {known[k] + 1}") if time is None else (lambda k: f"{time[known[k]]:.1f} s")
-    return rows, sentences(found, len(known), shown.words, shown.names, at)
+    return rows, repeated, sentences(found, len(known), shown.words, shown.names, at)
 
 
 def _of_poses(held: Held, time: Array | None) -> tuple[str, ...]:
@@ -195,15 +200,17 @@ def _of_poses(held: Held, time: Array | None) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table) -> Array:
-    """The wrenches (n, 6) of the times (n,) of the poses; NaN where the log ends before."""
+def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table, fresh: Mask) -> Array:
+    """The wrenches (n, 6) of the times (n,) of the poses, between fresh ones; NaN where the log ends before."""
     if time is None:
         raise InputError(
             f"{table.name}: wrench_delay_s of {map.name} needs the time of the rows; name its column as time under "
             "[columns]"
         )
     _check_order(time, np.arange(len(time)), table)
-    columns = [np.interp(time + map.wrench_delay_s, time, one, left=np.nan, right=np.nan) for one in wrench.T]
+    columns = [
+        np.interp(time + map.wrench_delay_s, time[fresh], one, left=np.nan, right=np.nan) for one in wrench[fresh].T
+    ]
     return np.stack(columns, axis=1)
 
 

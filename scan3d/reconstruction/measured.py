@@ -46,7 +46,8 @@ def unmeasured(recording: Recording) -> Unmeasured | None:
     if held is not None:
         rows[held.stale] = True
         said += (_of_poses(held),)
-    return Unmeasured(np.flatnonzero(rows), said, held is not None) if said else None
+    repeated = np.flatnonzero(of_all((gap for gap in found if gap.every), len(recording)))
+    return Unmeasured(np.flatnonzero(rows), repeated, said, held is not None) if said else None
 
 
 def _completed(recording: Recording) -> tuple[str, ...]:
@@ -75,6 +76,7 @@ def measured(recording: Recording, found: Unmeasured) -> tuple[Recording, Index]
     known: Mask = np.ones(len(recording), dtype=bool)
     known[found.rows] = False
     rows = np.flatnonzero(known)
+    known[found.repeated] = True
     return replace(of_rows(recording, rows), sweep=parts(recording.sweep, known)[rows]), rows
 
 

@@ -95,6 +95,12 @@ def held(rows, draw):
     return rows._replace(pose=rows.pose[np.arange(len(rows.pose)) // every * every])
 
 
+def slower(rows, draw):
+    """A sensor that is not in step with its log."""
+    every, row = draw.uniform(1.3, 12), np.arange(len(rows.wrench))
+    return rows._replace(wrench=rows.wrench[(row // every * every).astype(int)])
+
+
 def paused(rows, draw):
     return rows._replace(pose=kept(rows.pose, stretches(draw, len(rows.pose))))
 
@@ -103,8 +109,9 @@ RIGHT = ("none", "coarse")
 """No fault: a good rig, and one with the steps of a converter, 1/f noise, a drift that wanders, lag, jitter and lost rows."""
 FAULTS = {
     "none": (lambda rows, draw: rows, ()),
-    "coarse": (lambda rows, draw: rows, ("keeps", "saturates", "jumps", "the poses change", "is held")),
+    "coarse": (lambda rows, draw: rows, ("keeps", "saturates", "jumps", "slower", "the poses change", "is held")),
     "stopped": (stopped, ("keeps",)),
+    "slower": (slower, ("slower",)),
     "frozen": (frozen, ("keeps",)),
     "zeros": (zeros, ("keeps",)),
     "saturated": (saturated, ("saturates",)),
