@@ -19,7 +19,7 @@ Lengths are in rod lengths L.
 
     python examples/rod_that_slides_away.py [--out FILE]
 
-Reference: equation (S23) in the manual's page "The rod in space".
+Reference: equation (S23) in the manual's page "The model".
 """
 
 import argparse

@@ -13,7 +13,7 @@ Lengths are in rod lengths L, forces in EI/L².
 
     python examples/sphere_off_equator.py [--out FILE]
 
-Reference: equation (S24) in the manual's page "The rod in space".
+Reference: equation (S24) in the manual's page "The model".
 """
 
 import argparse

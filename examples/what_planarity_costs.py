@@ -15,7 +15,7 @@ Lengths are in rod lengths L, forces in EI/L², moments in EI/L.
     python examples/what_planarity_costs.py [--out FILE]
 
 Reference: the planar model is that of L. Merker, J. Steigenberger, C. Behn, Friction Invariant Object Reconstruction Using a
-Vibrissa-inspired Tactile Sensor Concept; the spatial one is derived in the manual's page "The rod in space".
+Vibrissa-inspired Tactile Sensor Concept; the spatial one is derived in the manual's page "The model".
 """
 
 import argparse

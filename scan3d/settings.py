@@ -38,7 +38,7 @@ class Settings:
     slices: int = _setting(
         64,
         "number of slices; adaptive spacing takes fewer where more would not lower the bound; in the spatial model "
-        "0.6 times as many sweeps from each of 12 directions",
+        "0.4 times as many sweeps from each of 12 directions",
     )
     spacing: Spacing = _setting(
         "adaptive", "heights of the slices: adaptive where the bound is widest, cosine dense at the ends"
