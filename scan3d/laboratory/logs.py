@@ -413,7 +413,7 @@ def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
         raise InputError(
             f"{table.place(int(row[k + 1]))} has a time {time[k] - time[k + 1]:.6g} s before that of the row above, "
             f"and time runs backwards in {len(back)} of {len(time)} rows; check the column of the time, and sort or "
-            "separate the rows"
+            "separate the rows; to times of a clock that wraps, add its range from there on"
         )
 
 

@@ -583,8 +583,8 @@ def _second_contact(along_force: Array) -> Diagnosis:
         "second-contact",
         percent,
         "%",
-        f"most likely either a second contact, or channels that were exchanged or logged at different times: force and moment "
-        f"of {share(percent / 100)} of the rows are not those of a single force; look for what else the rod touches",
+        f"most likely either a second contact, or channels that mix, were exchanged or were logged at different times: force "
+        f"and moment of {share(percent / 100)} of the rows are not those of a single force; look for what else the rod touches",
     )
 
 
