@@ -252,7 +252,9 @@ def _beside(column: Array, start: int, stop: int) -> float:
         change = np.abs(np.diff(rows))
         differs = np.append(True, change != 0)[: len(rows)]
         if differs.sum() > _FEWEST:
-            still = float((change <= _STILL * np.quantile(change, 0.9)).mean())
+            # in the air, which is part of these rows
+            equal = np.array_split(change <= _STILL * np.quantile(change, 0.9), max(1, len(change) // _FEWEST))
+            still = max(float(part.mean()) for part in equal)
             # what repeats more often than not is in the middle of a step, and may stay there
             found.append(1.0 if still > 0.5 else max(still, _chance(rows, np.ones(len(rows), dtype=bool), differs)))
     return max(found, default=1.0)
@@ -456,8 +458,9 @@ def _moves_on(values: Array, start: Index, count: Array, regular: Mask) -> bool:
         telling = (size >= np.quantile(size, 0.9)) & (size > 0)  # noise says nothing
         # 1 of a clamp that moves evenly, 0 of one that stops; a rod that snaps off counts as one run
         part = (within[at] * across).sum(axis=1)[telling] / size[telling] ** 2 * (apart / (count[at] - 1))[telling]
+        part = np.clip(part, -2.0, 2.0)
         # noise alone has either sign alike
-        if len(part) and np.median(part) > 0.25 and np.sign(part).sum() > _SIGMAS * np.sqrt(len(part)):
+        if part.sum() > max(0.25 * len(part), _SIGMAS * np.sqrt((part**2).sum())):
             return True
     return False
 

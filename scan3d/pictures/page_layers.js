@@ -53,7 +53,8 @@ const valueAt = ({low, high, log}, t) => log ? low * (high / low) ** t : low + t
 function key(place, layer) {  // what the colours mean
   const {scale} = layer;
   if (scale.kinds) {
-    for (const [text, color, size] of scale.kinds) dotted(place, color, `${text}: ${percent(size)} ${whatOf(layer)}`);
+    // how much of the surface is of which kind the headline says
+    for (const [text, color, size] of scale.kinds) dotted(place, color, layer.faces ? text : `${text}: ${percent(size)} ${whatOf(layer)}`);
     return;
   }
   add(place, "div", "bar").style.background = "linear-gradient(to right," + scale.stops.join() + ")";
