@@ -15,7 +15,7 @@ from scan3d.files.shapes import export
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.touches import contradictions
 from tests.robustness.everyday import EVERYDAY, mesh_of
-from tests.sample_bodies import convex_hausdorff, random_body
+from tests.sample_bodies import MESHES, convex_hausdorff, random_body
 
 
 def touched(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
@@ -236,3 +236,52 @@ def test_clouds_of_cameras_with_places_that_are_missing(tmp_path):
     path.write_text(head.format("binary_compressed"))
     with pytest.raises(scan3d.InputError, match="save it as binary or ascii"):
         read_points(path)
+
+
+def crossed(mesh, places, outward):
+    """Where lines that come in against directions (n, 3) first meet a convex body, with its normals; those that miss it left
+    out."""
+    planes = np.unique(
+        np.column_stack([mesh.face_normals, (mesh.face_normals * mesh.triangles[:, 0]).sum(axis=1)]), axis=0
+    )
+    begin = places + np.linalg.norm(mesh.extents) * outward
+    rate, room = -outward @ planes[:, :3].T, planes[:, 3] - begin @ planes[:, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enters, leaves = np.where(rate < 0, room / rate, -np.inf), np.where(rate > 0, room / rate, np.inf)
+    first, hits = enters.argmax(axis=1), enters.max(axis=1) < leaves.min(axis=1)
+    return (begin - enters.max(axis=1)[:, None] * outward)[hits], planes[first, :3][hits]
+
+
+def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsys):
+    mesh, count = hull(random_body(3).vertices), 60
+    points, normals = touched(mesh, count, 0)
+    columns, out, places = "x_mm,y_mm,z_mm,nx,ny,nz", tmp_path / "out", tmp_path / "places.csv"
+    for _ in range(4):
+        np.savetxt(tmp_path / "t.csv", np.hstack([points, normals]), "%.17g", ",", header=columns, comments="")
+        assert main(["surface", str(tmp_path / "t.csv"), "--out", str(out), "--quiet", "--overwrite"]) == 0
+        assert main(["next", str(out), "--out", str(places), "--sweeps", "20", "--quiet"]) == 0
+        aimed = read_points(places)
+        assert aimed.unit == "mm"
+        found = crossed(mesh, aimed.stacked(("x", "y", "z")), aimed.stacked(("nx", "ny", "nz")))
+        points, normals = np.vstack([points, found[0]]), np.vstack([normals, found[1]])
+    others = touched(mesh, len(points), 1)
+    assert enclosure(scan3d.touches(points, normals)).bound < 0.6 * enclosure(scan3d.touches(*others)).bound
+    assert main(["next", str(out), "--out", str(places), "--tolerance", "1", "--quiet"]) == 0
+    assert places.read_text() == columns + "\n"
+    assert main(["next", str(out), "--out", str(places), "--around", "cylinder:9x9"]) == 2
+    assert "no clamp" in capsys.readouterr().err
+
+
+def test_next_names_what_touches_of_a_body_that_is_not_convex_leave_unknown(tmp_path):
+    mesh = scan3d.load_mesh(MESHES / "hollow" / "mug.stl")
+    points, normals = touched(mesh, 3000, 0)
+    seen = points[:, 0] < np.quantile(points[:, 0], 0.8)
+    path, out, places = tmp_path / "t.csv", tmp_path / "out", tmp_path / "places.csv"
+    np.savetxt(path, np.hstack([points, normals])[seen], "%.17g", ",", header="x,y,z,nx,ny,nz", comments="")
+    assert main(["surface", str(path), "--out", str(out), "--quiet"]) == 0
+    assert main(["next", str(out), "--out", str(places), "--sweeps", "5", "--quiet"]) == 0
+    unknown = json.loads((out / "report.json").read_text())["coverage"]["unknown"]
+    assert unknown
+    assert np.loadtxt(places, delimiter=",", skiprows=1, usecols=(0, 1, 2), ndmin=2)[0] == pytest.approx(
+        unknown[0]["center"]
+    )

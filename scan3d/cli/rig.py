@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -164,7 +165,7 @@ def further(
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
-    """Poses of further sweeps, where what was measured leaves most room.
+    """Poses of further sweeps, where what was measured leaves most room, or places for another probe.
 
     For example:
       scan3d next out --out further.csv --around cylinder:80x120
@@ -173,15 +174,16 @@ def further(
     Parameters
     ----------
     folder
-        folder of a scan or a reconstruction
+        folder of a scan, a reconstruction, or a surface from touches of another probe
     out
-        the poses, as of plan; a header only where the tolerance is met
+        the poses, as of plan; after touches of another probe places to aim at, with outward normals against which to approach
+        them; a header only where the tolerance is met
     tolerance
         certified bound, relative to the diagonal, at which no more sweeps are needed
     around
         bounding body, as of plan (default: that of the plan, or of the contacts)
     sweeps
-        about how many sweeps
+        about how many sweeps, or places
     seed
         of the directions of sweeps in space
     """
@@ -191,13 +193,16 @@ def further(
     from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
 
-    path = folder / RECORDING[0]
+    path, report = folder / RECORDING[0], read_report(folder)
+    if sweeps < 1:
+        raise UsageError(f"sweeps must be a whole number of at least 1, got {sweeps}")
+    if report.get("model") == "touches":
+        if around is not None or limits != Limits():
+            raise UsageError("touches of another probe have no clamp to plan for; leave --around and its limits out")
+        return _further_places(folder, report, out, tolerance, sweeps, overwrite, output)
     if not locate(path).exists():
         raise InputError(f"there is no {RECORDING[0]} in {folder}; give a folder that scan or reconstruct has written")
     check_poses(out, overwrite, {"recording": path, "TOML file of the recording": sidecar(path)})
-    if sweeps < 1:
-        raise UsageError(f"sweeps must be a whole number of at least 1, got {sweeps}")
-    report = read_report(folder)
     check_belongs(folder, report, RECORDING)
     measured = read_recording(path)
     model: Any = report.get("model") or ("spatial" if measured.six_axis else "planar")
@@ -224,6 +229,43 @@ def further(
         output.progress.say(f"warning: {warning.message}")
     text = f"{session.known}; {data['sweeps']} further sweeps, written to {data['poses']}"
     return print_result(output, data, printable(text))
+
+
+def _further_places(
+    folder: Path, report: Mapping[str, Any], out: Path, tolerance: float, count: int, overwrite: bool, output: Output
+) -> int:
+    """Places to touch next with another probe: where touches of a convex body leave most room, or, of another one, the middles
+    of what is unknown, the largest first."""
+    import numpy as np
+
+    from scan3d.files.text import rows_as_text
+    from scan3d.files.whole import check_file, write_together
+    from scan3d.planning.plan import open_places
+    from scan3d.results import open
+
+    shown = open(folder)
+    cloud, certificate = shown.cloud, shown.certificate
+    relative = certificate.relative(cloud.points) if certificate.bound < math.inf else math.inf
+    known = np.isfinite(cloud.normals).all(axis=1)
+    if not cloud.convex:
+        unknown = sorted((report.get("coverage") or {}).get("unknown", []), key=lambda patch: -patch["area"])
+        places = np.array([patch["center"] for patch in unknown[:count]]).reshape(-1, 3)
+        normals = np.full_like(places, np.nan)
+    elif relative <= tolerance:
+        places = normals = np.empty((0, 3))
+    elif known.sum() < 4:
+        raise InputError(
+            f"{folder} has {int(known.sum())} touches with normals, which tell where a convex body may go on; record the "
+            "normals, or plan the touches by the picture"
+        )
+    else:
+        places, normals = open_places(cloud.points[known], cloud.normals[known], count)
+    names = ",".join([f"{axis}_{cloud.unit}" for axis in "xyz"] + ["nx", "ny", "nz"])
+    data = f"{names}\n".encode() + rows_as_text([*places.T, *normals.T]).replace(b"nan", b"")
+    check_file(out, {"touches": folder / "cloud.ply"}, overwrite, "--out", data)
+    write_together(out, {out.name: data})
+    found = {"places": str(out), "count": len(places), "relative_bound": relative, "tolerance": tolerance}
+    return print_result(output, found, f"{len(places)} places to touch next, written to {printable(str(out))}")
 
 
 def refuse_settings_of_scans(given: dict[str, Any]) -> None:
