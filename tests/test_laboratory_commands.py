@@ -173,6 +173,13 @@ ROBOTS = {
          "force": franka("K_F_ext_hat_K", 0, 1, 2), "moment": franka("K_F_ext_hat_K", 3, 4, 5)},
         {"sensor"},
     ),
+    "arrays written column by column": (
+        [f"{name}_{k}" for name in ("position", "orientation", "force", "torque") for k in range(3 + (name == "orientation"))],
+        {"position": [f"position_{k}" for k in range(3)], "force": [f"force_{k}" for k in range(3)],
+         "orientation": {"quaternion": [f"orientation_{k}" for k in range(4)], "order": "xyzw"},
+         "moment": [f"torque_{k}" for k in range(3)]},
+        {"order of the quaternion"},
+    ),
     "ATI": (
         ["Status (hex)", "RDT Sequence", "F/T Sequence", *xyz("F", " (N)"), *xyz("T", " (N-m)"), "Time"],
         {"force": xyz("F", " (N)"), "moment": xyz("T", " (N-m)"), "time": "Time"},

@@ -406,7 +406,7 @@ def guess_map(path: str | Path) -> FirstMap:
     layout = guessed_layout(path)
     table = read_table(path, layout)
     left: list[str] = []
-    position, force, moment = ([_first(table, _PREFIX[entry] + axis) for axis in "xyz"] for entry in _VECTORS)
+    position, force, moment = (_vector(table, _PREFIX[entry]) for entry in _VECTORS)
     # a position and a rotation vector, as of Universal Robots, or Franka's matrix by columns, whose last one is the position
     poses = (
         *((words, range(6)) for words in (r"(?:actual|tcp|ee|tool|pose)+", r"(?:target|tcp|pose)+")),
@@ -493,11 +493,20 @@ def _numbered(table: Table, pattern: str, numbers: Sequence[int]) -> list[str | 
     return [] if None in found else found
 
 
+def _vector(table: Table, words: str) -> list[str | None]:
+    """The columns of x, y and z, or those numbered 0, 1 and 2, of names that are more than a number."""
+    named = [_first(table, words + axis) for axis in "xyz"]
+    return named if any(named) else _numbered(table, re.sub(r"\*$", "+", words), range(3)) or named
+
+
 def _found_orientation(table: Table, turn: list[str | None], left: list[str]) -> tuple[list[str | None], str]:
     """The columns of angles, if there are any, and the entry of the map; `turn` are those of a pose's vector or matrix."""
     quaternion = [_first(table, _PREFIX["quaternion"] + axis) for axis in "wxyz"]
     if None not in quaternion:
         return [], f"{{quaternion = {_toml(quaternion)}}}"
+    if quaternion := _numbered(table, _PREFIX["quaternion"], range(4)):
+        left.append("order of the quaternion")
+        return [], f'{{quaternion = {_toml(quaternion)}, order = "xyzw"}}  # a guess: check the order'
     for names, convention in _EULER:
         found = [_first(table, _PREFIX["position"] + name) for name in names]
         if names[0] == "rx" and None in found and len(turn) == 3:
