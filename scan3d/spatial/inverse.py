@@ -191,20 +191,16 @@ def reconstruct(
             torsion, skew = m0[:, 1].copy(), _dot(f0, m0)
         q = m / (2 * np.sqrt(size))
         known = np.isfinite(s1) & np.isfinite(point).all(axis=1) & np.isfinite(tangent).all(axis=1)
-        valid = known & (s1 <= 1 + zero)
-        tangential = valid & (s1 < 1 - zero)
     # where several reasons apply, the last one counts
-    status = np.where(valid, Status.OK, Status.BEYOND_TIP).astype(np.int8)
-    status[~known] = Status.NO_ROD
+    status = np.where(known, Status.OK, Status.NO_ROD).astype(np.int8)
     if other is None:
         status[(m0[:, 0] == 0) & (m0[:, 2] == 0)] = Status.NO_MOMENT
     status[~(np.isfinite(f0) & np.isfinite(m0)).all(axis=1) | (force == 0).all(axis=1)] = Status.NO_FORCE
     bending = np.stack([ex, 0 * ex, ez], axis=1)
     for column in (point, s1, tangent, bending, q):
         column[status != Status.OK] = np.nan
-    phase = np.where(tangential, planar.Phase.TANGENTIAL, planar.Phase.TIP)
-    phase = np.where(status == Status.OK, phase, planar.Phase.NONE).astype(np.int8)
-    return SpatialContacts(point, s1, tangent, force, bending, q, phase, status, torsion, skew, in_plane=other is None)
+    phase, in_plane = np.zeros_like(status), other is None
+    return SpatialContacts(point, s1, tangent, force, bending, q, phase, status, torsion, skew, in_plane).within(zero)
 
 
 def bending_direction(f0: Array, m0: Array, noise: tuple[float, float]) -> tuple[Array, Array]:
