@@ -87,7 +87,7 @@ def planes_turned(points, normals, half_width, turn, rng):
     tangents = np.cross(along, middle)
     lean = rng.choice([-1.0, 1.0], (len(normals), 1)) * turn
     middle, tangents = np.cos(lean) * middle + np.sin(lean) * tangents, np.cos(lean) * tangents - np.sin(lean) * middle
-    arcs = Arcs(points, middle, along, np.full(len(normals), half_width))
+    arcs = Arcs(middle, along, np.full(len(normals), half_width))
     nothing = np.zeros(len(normals))
     return planes_of_arcs(arcs, Places(points, nothing), tangents, np.full(len(normals), turn))
 

@@ -58,7 +58,6 @@ def test_in_every_bending_plane_the_planar_inverse_returns(reactions):
     np.testing.assert_allclose(found.point[:, 1], plane.point[:, 1], atol=2e-13)
     np.testing.assert_allclose(found.s1, plane.s1, atol=2e-13)
     np.testing.assert_allclose(found.friction_angle_bound, plane.friction_angle_bound, atol=2e-12)
-    np.testing.assert_allclose(found.force_angle, plane.force_angle, atol=1e-13)
     np.testing.assert_allclose(np.exp(1j * found.bending_angle), np.exp(1j * omega), atol=1e-13)
     assert np.abs(found.torsion).max() == 0
     assert np.abs(found.skew).max() < 1e-13

@@ -56,8 +56,6 @@ class Places(NamedTuple):
 class Arcs(NamedTuple):
     """Planes (n,) through points, with normals ``cos θ middle + sin θ across``, |θ| <= half_width."""
 
-    points: Array
-    """(n, 3)"""
     middle: Array
     """(n, 3) unit vectors ν, the arcs' middles."""
     across: Array
@@ -73,21 +71,6 @@ class Arcs(NamedTuple):
         cos, sin = np.cos(self.half_width)[:, None], np.sin(self.half_width)[:, None]
         return np.stack([cos * self.middle - sin * self.across, cos * self.middle + sin * self.across], axis=1)
 
-    def depths(self, points: Array) -> Array:
-        """How far (m, n) points (m, 3) lie beyond the planes, by the end of the arc at which it is least."""
-        ends = self.ends()
-        offset = (ends * self.points[:, None]).sum(axis=2)
-        return np.minimum(*(points @ ends[:, k].T - offset[:, k] for k in range(2)))
-
-    def moved(self, move: Array) -> Arcs:
-        """The planes moved outwards by at least `move` (n,), whichever normals of their arcs they have."""
-        with np.errstate(invalid="ignore"):
-            outwards = (move / np.cos(self.half_width))[:, None] * self.middle
-        return self._replace(points=self.points + outwards)
-
-    def joined(self, other: Arcs) -> Arcs:
-        return Arcs(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
 
 def arcs_at(places: Places, tangents: Array, turns: Array, body: Places, edges: Index) -> Arcs:
     """The arcs of the normals at places (n,) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
@@ -101,7 +84,7 @@ def arcs_at(places: Places, tangents: Array, turns: Array, body: Places, edges: 
     """
     adjacent, levels = _adjacency(edges, len(body.points)), _levels(body.points)
     centre = body.points.mean(axis=0)
-    parts = [Arcs(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
+    parts = [Arcs(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
     every = np.arange(len(places.points))
     for rows in np.array_split(every, 1 + 3 * _NEIGHBOURS * len(levels) * len(every) // AT_ONCE):
         block = places.select(rows)
@@ -186,7 +169,7 @@ class _Sight:
         half[~((half >= 0) & (half < np.pi / 2))] = np.nan
         cos, sin = np.cos(middle)[:, None], np.sin(middle)[:, None]
         normal, across = cos * self._outward + sin * self._across, cos * self._across - sin * self._outward
-        return Arcs(self._places.points, normal, across, half)
+        return Arcs(normal, across, half)
 
 
 def _climb(value: Callable[[Index], Array], starts: Index, adjacent: Index) -> Array:

@@ -53,8 +53,6 @@ class SupportFit:
     """(3, 3) symmetric: a point q of the mapped body is ``center + shape q`` in the world."""
     coefficients: Array
     """((degree + 1)²,) of the harmonics, in the order of `harmonics`."""
-    rms: float
-    """Root mean square distance of the mapped contacts from the mapped body, whose mean radius is about 1."""
 
     def points(self, normals: Array) -> Array:
         """Points (n, 3) of the body with the outward normals (n, 3)."""
@@ -136,11 +134,10 @@ def fit_support(
             coefficients = cho_solve(cho_factor(normal_matrix), right)
         else:
             coefficients = _smoothed(normal_matrix, right, square, len(mapped), degree)
-        fitted = SupportFit(degree, center, shape, coefficients, 0.0)
+        fitted = SupportFit(degree, center, shape, coefficients)
         # noisy normals may be wrong by more than a right angle at first
         directions = _follow(fitted._gradient, mapped, directions, 3 if sd is None else 10)
-    off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
-    return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
+    return fitted
 
 
 def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, degree: int) -> Array:

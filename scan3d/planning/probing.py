@@ -72,8 +72,6 @@ class Planned(NamedTuple):
 class _Image(NamedTuple):
     """What is seen along a direction, in pixels as large as a cell."""
 
-    frame: Array
-    """(3, 3) axes of the image, and the direction."""
     normals: Array
     """(a, 3) those of the planes along the direction."""
     rows: Index
@@ -245,7 +243,7 @@ class Unknown:
         offset = _whole(turned @ pixel.T)
         least = offset.min(axis=1, initial=0)
         offset -= least[:, None]
-        return _Image(frame, turned @ frame[:2], first, offset, least)
+        return _Image(turned @ frame[:2], first, offset, least)
 
     def _nearest(self, flat: Array, depth: Array) -> tuple[Index, Index]:
         """Of places in the same pixels (n, k) the first one, if nothing hides it and rods reach it, and its pixel."""

@@ -113,11 +113,6 @@ class SpatialContacts:
         return np.arctan2(self.bending[:, 2], self.bending[:, 0])
 
     @property
-    def force_angle(self) -> Array:
-        """(n,) direction α of the contact force in the bending plane: ``f (sin α e - cos α t0)``."""
-        return np.arctan2(_dot(self.force, self.bending), -self.force[:, 1])
-
-    @property
     def friction_angle_bound(self) -> Array:
         """(n,) angle β with ``F·t1 = f sin β``: friction angles are at least ``|β|``, and β may be negative."""
         if not self.in_plane:
