@@ -243,15 +243,19 @@ class Cloud(Shown, Exported):
         return len(self.points)
 
     @classmethod
-    def of_none(cls, unit: str, rod_length: float, model: str) -> Cloud:
-        """A cloud without contacts."""
-        numbers, vectors = np.zeros(0, dtype=np.int32), np.zeros((0, 3))
-        small, values = np.zeros(0, dtype=np.int8), np.zeros(0)
-        return cls(
-            *(vectors, vectors, small, vectors, small, numbers, numbers, numbers, values, values, vectors, values),
-            *(unit, rod_length, 0.0),
-            model=model,
-        )
+    def of_places(cls, points: Array, **known: Any) -> Cloud:
+        """Exact contacts (n, 3) at the tip, in no slices and without normals, but for the columns that are given."""
+        numbers, unknown = np.arange(len(points), dtype=np.int32), np.full(len(points), np.nan)
+        columns: dict[str, Any] = {
+            "normals": np.full((len(points), 3), np.nan),
+            "normal_source": np.full(len(points), NormalSource.UNKNOWN, dtype=np.int8),
+            "in_plane_normals": np.full((len(points), 3), np.nan),
+            "phase": np.full(len(points), planar.Phase.TIP, dtype=np.int8),
+            "slice": np.full(len(points), -1, dtype=np.int32),
+            **{"sweep": numbers, "row": numbers, "force_N": unknown, "friction": unknown},
+            **{"slice_axis": np.empty((0, 3)), "slice_height": np.empty(0), "noise": 0.0},
+        }
+        return cls(points, **(columns | known))
 
     def swept(self) -> Cloud:
         """The contacts that are not those of probings."""

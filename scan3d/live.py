@@ -357,7 +357,8 @@ class Live:
         with suppress(NoContactError):
             if self._rows:
                 return reconstruct(self.recording, model=self.model)
-        return Cloud.of_none(self.unit, self._like.rod.length_m / UNITS_M[self.unit], self.model)
+        length = self._like.rod.length_m / UNITS_M[self.unit]
+        return Cloud.of_places(np.empty((0, 3)), unit=self.unit, rod_length=length, model=self.model)
 
 
 def _check_light(rod: Rod) -> None:

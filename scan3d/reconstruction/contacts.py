@@ -160,29 +160,24 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     place_sd = np.hypot(length * error.largest[rows], pose)
     noisy = max(*noise, pose) > 0 or by_moment is not None
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
-    cloud = Cloud(
-        points=points / scale,
-        normals=np.full((len(rows), 3), np.nan),
-        normal_source=np.full(len(rows), NormalSource.UNKNOWN, dtype=np.int8),
+    cloud = at_rows(
+        recording,
+        rows,
+        points / scale,
         in_plane_normals=slices.turned(
             np.einsum("ni,nij->nj", in_plane.normal[rows], axes[rows, :2]), axes[:, 2], rows
         ),
         phase=in_plane.phase[rows],
         slice=slices.number[rows],
-        sweep=recording.sweep[rows].astype(np.int32),
-        row=rows.astype(np.int32),
         force_N=in_plane.force[rows] * rod.force_unit_N,
         friction=in_plane.friction[rows],
         slice_axis=slices.axis,
         slice_height=slices.height / scale,
-        unit=recording.unit,
-        rod_length=length,
         noise=float(np.median(place_sd)),
         covariance=covariance if noisy else None,
         place_sd=place_sd if noisy else None,
         normal_sd=np.where(tangential, error.slope[rows], np.inf) if noisy else None,
         light=int(light.sum()),
-        pose_error=known.place_m / scale,
         tilt=None if slices.tilt is None else slices.tilt.scaled(1 / scale),
         table=None if recording.table_m is None else (recording.table_m - radius) / scale,
         independent=independent(recording),
@@ -193,6 +188,20 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     unresolved = unproven(cloud, recording, slices.number, FORCE_SIGMAS * max(noise) / 3)
     unresolved[np.setdiff1d(slices.number[pressed], cloud.slice)] = True
     return replace(cloud, unresolved=unresolved) if unresolved.any() else cloud
+
+
+def at_rows(recording: Recording, rows: Index, points: Array, **known: Any) -> Cloud:
+    """The contacts (n, 3) of some rows of a recording, in its unit; what is known besides is given."""
+    scale = UNITS_M[recording.unit]
+    stated: dict[str, Any] = {
+        "sweep": recording.sweep[rows].astype(np.int32),
+        "row": rows.astype(np.int32),
+        "unit": recording.unit,
+        "rod_length": recording.rod.length_m / scale,
+        "pose_error": recording.noise.place_m / scale,
+        "table": None if recording.table_m is None else recording.table_m / scale,
+    }
+    return Cloud.of_places(points, **(stated | known))
 
 
 def _by_moment(recording: Recording) -> Array | None:
@@ -370,28 +379,17 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
     if error is not None:
         pose = recording.noise.pose_m / scale
         place_sd, tangent_sd = np.hypot(length * error.largest[rows], pose), error.tangent[rows]
-    return Cloud(
-        points=points,
-        normals=np.full((n, 3), np.nan),
-        normal_source=np.full(n, NormalSource.UNKNOWN, dtype=np.int8),
-        in_plane_normals=np.full((n, 3), np.nan),
+    return at_rows(
+        recording,
+        rows,
+        points,
         phase=found.phase[rows],
-        slice=np.full(n, -1, dtype=np.int32),
-        sweep=recording.sweep[rows].astype(np.int32),
-        row=rows.astype(np.int32),
         force_N=np.linalg.norm(found.force[rows], axis=1) * rod.force_unit_N,
-        friction=np.full(n, np.nan),
-        slice_axis=np.empty((0, 3)),
-        slice_height=np.empty(0),
-        unit=recording.unit,
-        rod_length=length,
         noise=0.0 if place_sd is None else float(np.median(place_sd)),
         covariance=covariance,
         place_sd=place_sd,
         normal_sd=np.full(n, np.inf),
         light=int(known.light.sum()),
-        pose_error=recording.noise.place_m / scale,
-        table=None if recording.table_m is None else recording.table_m / scale,
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
         tapered=rod.tapered,

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import planar
 from scan3d.arrays import ROUNDING, Array, Index, Mask, ranges
-from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
+from scan3d.cloud import PER_CONTACT, Cloud
 from scan3d.errors import InputError
+from scan3d.reconstruction.contacts import at_rows
 from scan3d.reconstruction.errors import RIGHT_ROWS, NoContactError, felt
 from scan3d.recording import Recording
 from scan3d.rigs import RigErrors
@@ -79,30 +79,17 @@ def contacts(recording: Recording, model: str) -> Cloud:
         for part in (found.covariance, found.covariance + bead**2 * found.normal_covariance)
     )
     bead_sd, place_sd = (np.sqrt(np.linalg.eigvalsh(part)[:, 2]) for part in (of_centre, covariance))
-    unknown = np.full((n, 3), np.nan)
-    return Cloud(
-        points=points,
-        normals=unknown,
-        normal_source=np.full(n, NormalSource.UNKNOWN, dtype=np.int8),
-        in_plane_normals=unknown,
-        phase=np.full(n, planar.Phase.TIP, dtype=np.int8),
-        slice=np.full(n, -1, dtype=np.int32),
-        sweep=recording.sweep[rows].astype(np.int32),
-        row=rows.astype(np.int32),
+    return at_rows(
+        recording,
+        rows,
+        points,
         force_N=np.linalg.norm(recording.pressing(six_axis)[rows], axis=1) * rod.force_unit_N,
-        friction=np.full(n, np.nan),
-        slice_axis=np.empty((0, 3)),
-        slice_height=np.empty(0),
-        unit=recording.unit,
-        rod_length=length,
         noise=float(np.median(place_sd)),
         covariance=covariance if noisy else None,
         place_sd=place_sd if noisy else None,
         normal_sd=np.full(n, np.inf) if noisy else None,
         second=elsewhere,
         convex=False,
-        pose_error=recording.noise.place_m / scale,
-        table=None if recording.table_m is None else recording.table_m / scale,
         model=model,
         independent=recording.noise.independent,
         probed=np.ones(n, dtype=bool),

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-import planar
 from scan3d.arrays import AT_ONCE, LARGEST, Array
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError, UsageError
@@ -95,19 +94,10 @@ def touches(
             outward[np.broadcast_to(np.isnan(normal_sd), count)] = np.nan
     known = np.isfinite(outward).all(axis=1)
     noise, has_noise = np.zeros(count) if place is None else place, place is not None or turn is not None
-    cloud = Cloud(
-        points=points,
+    cloud = Cloud.of_places(
+        points,
         normals=outward,
         normal_source=np.where(known, NormalSource.MEASURED, NormalSource.UNKNOWN).astype(np.int8),
-        in_plane_normals=np.full((count, 3), np.nan),
-        phase=np.full(count, planar.Phase.TIP, dtype=np.int8),
-        slice=np.full(count, -1, dtype=np.int32),
-        sweep=np.arange(count, dtype=np.int32),
-        row=np.arange(count, dtype=np.int32),
-        force_N=np.full(count, np.nan),
-        friction=np.full(count, np.nan),
-        slice_axis=np.empty((0, 3)),
-        slice_height=np.empty(0),
         unit=unit,
         rod_length=size,
         noise=float(np.median(noise)),
