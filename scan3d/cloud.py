@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -268,6 +269,11 @@ class Cloud(Shown, Exported):
         calibration = None if self.calibration is None else self.calibration.select(rows)
         fattened = None if self.fattened is None else self.fattened.select(rows)
         return replace(self, **selected, calibration=calibration, fattened=fattened, kept=dict(self.kept))
+
+    def changed(self, **columns: Callable[[Cloud], Any]) -> Cloud:
+        """The cloud with other columns, which are made of it; those of the `fattened` one are made of that."""
+        fattened = None if self.fattened is None else self.fattened.changed(**columns)
+        return replace(self, **{name: made(self) for name, made in columns.items()}, fattened=fattened)
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""

@@ -573,13 +573,13 @@ def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
         left, touched = _without_wild(recording, left, method)
         part, kept = rest(recording, left)
         known = _with_relative_error(part, with_rig_errors(touched, part), method)
-        return renumbered(_with_left_out(_whole(touched, part, known, method), left), kept)
+        return renumbered(_whole(touched, part, known, method).changed(left_out=lambda _: left), kept)
     known = _with_relative_error(recording, by_rig, method)
     found = _whole(touched, recording, known, method)
     if left is None:
         return found
     explained = known is not recording and left_out(recording, found.fattened or found) is None
-    return found if explained else _with_left_out(found, left)
+    return found if explained else found.changed(left_out=lambda _: left)
 
 
 def _with_probings(recording: Recording, along: Mask, method: str, model: str) -> Cloud:
@@ -641,11 +641,6 @@ def _without_wild(recording: Recording, left: LeftOut, method: str) -> tuple[Lef
 def _whole(touched: Cloud, recording: Recording, known: Recording, method: str) -> Cloud:
     """The contacts, with normals, of the recording `known` with a relative error of the wrench; `touched` are those without."""
     return on_surface(touched if known is recording else contacts(known, method), known)
-
-
-def _with_left_out(cloud: Cloud, left: LeftOut) -> Cloud:
-    fattened = None if cloud.fattened is None else replace(cloud.fattened, left_out=left)
-    return replace(cloud, left_out=left, fattened=fattened)
 
 
 def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Recording:

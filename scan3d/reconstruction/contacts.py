@@ -220,8 +220,7 @@ def rest(recording: Recording, left: LeftOut) -> tuple[Recording, Index]:
 
 def renumbered(cloud: Cloud, number: Index) -> Cloud:
     """The cloud with other numbers (n,) for the rows of the recording."""
-    fattened = None if cloud.fattened is None else renumbered(cloud.fattened, number)
-    return replace(cloud, row=number[cloud.row].astype(np.int32), fattened=fattened)
+    return cloud.changed(row=lambda one: number[one.row].astype(np.int32))
 
 
 def with_rows(cloud: Cloud, rows: Index) -> Cloud:

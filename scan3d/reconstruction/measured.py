@@ -93,12 +93,10 @@ def as_measured(recording: Recording, cloud: Cloud) -> tuple[Recording, Cloud]:
 def as_recorded(recording: Recording, found: Unmeasured, rows: Index, cloud: Cloud) -> Cloud:
     """The contacts of the rows (k,) that were measured, with the numbers that rows and sweeps have in the recording."""
     whole = replace(_numbered(cloud, rows), unmeasured=found)
-    fattened = whole.fattened and replace(whole.fattened, sweep=recording.sweep[whole.fattened.row].astype(np.int32))
-    return replace(whole, sweep=recording.sweep[whole.row].astype(np.int32), fattened=fattened)
+    return whole.changed(sweep=lambda one: recording.sweep[one.row].astype(np.int32))
 
 
 def _numbered(cloud: Cloud, number: Index) -> Cloud:
     """The cloud with other numbers (n,) for the rows of the recording, and for those that are left out."""
     left = cloud.left_out and cloud.left_out._replace(rows=number[cloud.left_out.rows])
-    fattened = cloud.fattened and replace(cloud.fattened, left_out=left)
-    return renumbered(replace(cloud, left_out=left, fattened=fattened), number)
+    return renumbered(cloud.changed(left_out=lambda _: left), number)
