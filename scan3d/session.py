@@ -20,7 +20,7 @@ from scan3d.geometry.hulls import distance_from_hull, hull
 from scan3d.pipeline import analyse
 from scan3d.planning import rig
 from scan3d.planning.heights import next_heights
-from scan3d.planning.plan import Plan, further_directions, open_places
+from scan3d.planning.plan import further_directions, open_places
 from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE
@@ -222,11 +222,10 @@ class Session(Described):
         by_axis = stacks(cloud.fattened or cloud)
         frames, count = [stack.frame for stack in by_axis], max(1, sweeps // rig.SIDES // len(by_axis))
         chosen = self._open_directions(sweeps)
-        for k, _ in enumerate(by_axis):
+        for k, frame in enumerate(frames):
             # as finely as slabs will be divided in the end
-            axis, of = frames[k][2], cloud.fattened or cloud
-            heights = next_heights(of, Plan(), axis=axis, left=3 * count, count=count)
-            along = space.points @ frames[k][2]
+            heights = next_heights(cloud.fattened or cloud, frame[2], 3 * count, count=count)
+            along = space.points @ frame[2]
             chosen += [
                 (k, float(angle), float(z))
                 for z in heights

@@ -111,10 +111,10 @@ class SlabMemory:
 
 def next_heights(
     cloud: Cloud,
-    plan: Plan,
+    axis: Array,
+    left: int,
     *,
-    axis: Array | None = None,
-    left: int | None = None,
+    tolerance: float = 0.0,
     count: int | None = None,
     memory: SlabMemory | None = None,
 ) -> Array:
@@ -122,37 +122,33 @@ def next_heights(
 
     cloud
         the contacts so far, and their slices, including those in which nothing was touched.
-    plan
-        its `slices` (number of slices along the axis) and its `tolerance` say when to stop.
     axis (3,)
-        normal of the slices; needed only if the cloud has slices along several axes.
+        unit normal of the slices.
     left
-        number of slices that may still be swept; by default `plan.slices` and the two beyond the ends, less the cloud's
-        slices along the axis.
+        number of slices that may still be swept, at least one.
+    tolerance
+        that of the plan, at which no more are needed.
     count
         number of heights in this call; by default a part of the slices so far, and of those that are left.
     memory
         speeds up repeated calls for the same scan; filled by this function.
 
-    Returns an empty array if no slices are left, if the tolerance is met, or where contacts leave as much open in the planes of
-    slices, so that further slices would add no information.
-    Raises InputError if the axis is not among those of the cloud, or is not given where there are several, and if the contacts
-    span no body.
+    Returns an empty array if the tolerance is met, or where contacts leave as much open in the planes of slices, so that more
+    slices would add no information.  Raises InputError if there are no contacts along the axis, or if they span no body.
     """
     memory = memory or SlabMemory()
     candidates = stacks(cloud)
-    stack = _stack(candidates, cloud, axis)
+    stack = next((stack for stack in candidates if np.abs(stack.frame[2] - axis).max() < 1e-6), None)
+    if stack is None:
+        raise InputError("no slice along this axis has contacts; scan more slices")
     done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS).sum())
-    left = plan.slices + BEYOND - done if left is None else left
-    if left <= 0:
-        return np.empty(0)
     others = [other.contour(i) for other in candidates if other is not stack for i in range(len(other.slices))]
     parts, gap = memory.measured(stack, others)
     kind, corners, straight = (
         np.concatenate([getattr(slab, name) for slab in parts]) for name in ("kind", "corners", "straight")
     )
     number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])
-    enough = plan.tolerance * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    enough = tolerance * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if gap.max() <= enough:
         return np.empty(0)
     between = np.isfinite(gap) & (kind != Gap.CONTACTS)
@@ -316,20 +312,6 @@ def evened(gaps: Array) -> Array:
     return roots**2
 
 
-def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:
-    if axis is not None:
-        unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-        candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < 1e-6]
-    if len(candidates) != 1:
-        normals = np.unique(np.round(cloud.slice_axis, 6), axis=0) + 0.0  # -0 becomes 0
-        axes = ", ".join(str(tuple(map(float, row))) for row in normals)
-        raise InputError(
-            f"next heights are chosen along one axis, and the cloud has contacts in slices along {axes}; give one of them "
-            f"as axis, got {axis if axis is None else tuple(np.asarray(axis).tolist())}"
-        )
-    return candidates[0]
-
-
 def open_contours(cloud: Cloud, tolerance: float) -> tuple[Array, float]:
     """Heights (k,) of the slices whose contours need more contacts, and the largest gap between two contacts of one contour.
 
@@ -426,11 +408,10 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
     opened = anywhere if bent else opened
     axis, cuts = _cuts(opened, by_axis, np.array([cut.gap for cut in vertices]), left, tolerance)
     if bent:
-        stack = by_axis[axis]
-        alone = replace(plan, slices=len(stack.slices) + left)
-        further = next_heights(cloud, alone, axis=stack.frame[2], left=left)
+        along = by_axis[axis].frame[2]
+        further = next_heights(cloud, along, left, tolerance=plan.tolerance)
         if len(further):
-            return Further([(stack.frame[2], further)])
+            return Further([(along, further)])
     count = max(1, round((0.4 if bent else 0.2) * done))
     # a short rest is taken together with the round
     count = left if left <= 1.3 * count else count

@@ -231,7 +231,7 @@ def _adapt(
     while (left := most - len(scan.heights)) > 0 and len(scan.heights) < (until or most):
         try:
             cloud = contacts(recording_of([*others, scan], rod))
-            heights = next_heights(cloud, scan.plan, axis=scan.frame[2], left=left, memory=memory)
+            heights = next_heights(cloud, scan.frame[2], left, tolerance=scan.plan.tolerance, memory=memory)
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
