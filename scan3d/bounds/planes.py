@@ -108,21 +108,13 @@ def with_table(planes: Planes, height: float | None) -> Planes:
     )
 
 
-class Outer(NamedTuple):
-    """A polytope around a body, which is open where it reaches the box in which it was sought."""
+def outer_body(planes: Planes, body: Any) -> tuple[Array, Array]:
+    """The polytope that contains every convex body within the planes, and the convex mesh `body`: its corners (w, 3), and
+    places (f, 3), much farther, towards which it is open.
 
-    corners: Array
-    """(w, 3) that bound the body."""
-    far: Array
-    """(f, 3) places, much farther, towards which it is open."""
-
-
-def outer_body(planes: Planes, body: Any) -> Outer:
-    """The polytope that contains every convex body within the planes, and the convex mesh `body`.
-
-    Towards far places nothing bounds it.  In a direction in which none of them lies farther than the mesh the corners bound it
-    nevertheless: the way from a point of the mesh to one of the body beyond the box leaves the box in the polytope, where it
-    has not gone farther in this direction.
+    It is open where it reaches the box in which it is sought, and nothing bounds the body towards far places.  In a direction
+    in which none of them lies farther than the mesh the corners bound it nevertheless: the way from a point of the mesh to one
+    of the body beyond the box leaves the box in the polytope, where it has not gone farther in this direction.
     """
     points = body.vertices.view(np.ndarray)
     inside, size = points.mean(axis=0), float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -142,7 +134,7 @@ def outer_body(planes: Planes, body: Any) -> Outer:
         left = float(move.sum())
         corners = _polytope(planes.normals, value + move, inside, half)
     is_far = np.abs(corners - inside).max(axis=1) >= half - _LEAST * size
-    return Outer(corners[~is_far], inside + _FAR * (corners[is_far] - inside))
+    return corners[~is_far], inside + _FAR * (corners[is_far] - inside)
 
 
 def _polytope(normals: Array, values: Array, inside: Array, half: float) -> Array:

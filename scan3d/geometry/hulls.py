@@ -376,9 +376,7 @@ def distance_from_hull(points: Array) -> Callable[[Array], Array]:
     from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 
     qhull, centre, size = _spanned_hull(points)
-    corners, faces = without_unused(qhull.simplices)
-    inwards = dot(spanned(qhull.points[qhull.simplices]), qhull.equations[:, :3]) < 0
-    faces[inwards] = faces[inwards, ::-1]
+    corners, faces = without_unused(_by_planes(qhull))
     distance = vtkImplicitPolyDataDistance()
     distance.SetInput(poly_data(qhull.points[corners], faces))
 

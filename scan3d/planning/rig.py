@@ -29,7 +29,6 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import (
     SMALLEST_CLEARANCE,
-    BaseLine,
     Plan,
     across,
     base_line,
@@ -346,25 +345,17 @@ def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     ]
 
 
-def slice_sweep(
-    plan: RigPlan, space: Space, angle: float, height: float, line: BaseLine | None = None, frame: Array | None = None
-) -> Sweep:
-    """The sweep at a height with the rod in a direction, past the whole bounding body; on the nearest base line by default.
+def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, frame: Array = _LEVEL) -> Sweep:
+    """The sweep at a height with the rod in a direction, past the whole bounding body, on the nearest base line.
 
     frame (3, 3)
         axes of the slices' frame as rows, z across the slice; by default that of horizontal slices.
     """
-    frame = _LEVEL if frame is None else frame
-    outline = outline_in(plan, space, frame)
-    line = line or base_line(outline, angle, space.clearance)
+    outline = plan.around.outline() if np.array_equal(frame, _LEVEL) else space.points @ frame[:2].T
+    line = base_line(outline, angle, space.clearance)
     across = (outline - line.origin) @ line.axes[0]
     x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
-
-
-def outline_in(plan: RigPlan, space: Space, frame: Array) -> Array:
-    """(n, 2) points in whose hull the bounding body lies, seen along the z axis of a slices' frame (3, 3)."""
-    return plan.around.outline() if np.array_equal(frame, _LEVEL) else space.points @ frame[:2].T
 
 
 def above_floor(sweeps: list[Sweep], space: Space) -> list[Sweep]:

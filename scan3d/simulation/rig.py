@@ -224,12 +224,8 @@ def simulate_rig(
     )
 
 
-class _Probed(NamedTuple):
-    """A probing that touches: its number, where the clamp stops (3,), and what is felt there (6,), in SI units."""
-
-    number: int
-    place: Array
-    wrench: Array
+_Probed = tuple[int, Array, Array]
+"""A probing that touches: its number, where the clamp stops (3,), and what is felt there (6,), in SI units."""
 
 
 def _stopped(
@@ -256,7 +252,7 @@ def _stopped(
     place = poses.position_m[first] + found.travel[:, None] * metres * axes[:, 1]
     wrench = np.hstack([found.force * rod.force_unit_N, found.moment * rod.moment_unit_Nm])
     position, keep = poses.position_m.copy(), np.ones(len(poses), dtype=bool)
-    repeat, probed = np.ones(len(poses), dtype=int), []
+    repeat, probed = np.ones(len(poses), dtype=int), list[_Probed]()
     for k, rows in enumerate(groups):
         number = int(poses.sweep[rows[0]])
         if not found.resolved[k]:
@@ -266,7 +262,7 @@ def _stopped(
             beyond = (position[rows[1:-1]] - place[k]) @ axes[k, 1] >= 0
             keep[rows[1:-1][beyond]] = False
             repeat[rows[-1]] = 1 if faults is None else 1 + math.ceil(_WAIT / faults.rate_hz / 1e-3)
-            probed.append(_Probed(number, place[k], wrench[k]))
+            probed.append((number, place[k], wrench[k]))
             # what is drawn back begins there
             after = np.flatnonzero((poses.sweep == number) & (poses.move == Move.RETRACT))
             aside = (position[after] - place[k]) @ axes[k, 1] > 0
