@@ -26,7 +26,7 @@ from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import is_convex
 from scan3d.geometry.sections import convex_polygon, extent_along, slice_outlines, slice_polygons
 from scan3d.planning.plan import Plan
-from scan3d.recording import Recording
+from scan3d.recording import Recording, reaction_columns
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.equilibrium import wrench
@@ -136,17 +136,12 @@ def recorded(
         wrench += plan.noise * np.hstack([*random.standard_normal((wrench.shape[1] // 3, len(wrench), 3))])
     forces = 3 if wrench.shape[1] == 6 else 2
     force, moment = wrench[:, :forces] * rod.force_unit_N, wrench[:, forces:] * rod.moment_unit_Nm
-    six_axes: dict[str, Any] = {}
-    if forces == 3:
-        six_axes = {"force_z_N": force[:, 2], "moment_x_Nm": moment[:, 0], "moment_y_Nm": moment[:, 1]}
     return Recording(
         sweep=np.asarray(number, dtype=np.int64),
         position_m=position * UNITS_M[plan.unit],
         quaternion=quaternion[number],
-        force_N=force[:, :2],
-        moment_Nm=moment[:, -1],
+        **reaction_columns(force, moment, forces == 3),
         rod=rod,
-        **six_axes,
         noise_force_N=plan.noise * rod.force_unit_N,
         noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
         unit=plan.unit,
@@ -244,16 +239,14 @@ def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float)
             rows = order[first : first + 128]
             parts = _swept(body, [tracks[k] for k in rows], [positions[k] for k in rows], [places[k] for k in rows])
             found |= dict(zip(rows, parts, strict=True))
-        again = [k for k in order if len(found[k].turned)]
+        again = [k for k in order if len(found[k][1])]
         for k in again:
-            places[k] = _places(positions[k], np.append(places[k], found[k].turned))
-    return [found[k].reactions for k in range(len(tracks))]
+            places[k] = _places(positions[k], np.append(places[k], found[k][1]))
+    return [found[k][0] for k in range(len(tracks))]
 
 
-class _Swept(NamedTuple):
-    reactions: Reactions
-    turned: Array
-    """Rows between places from one to the next of which the contact changes much."""
+_Swept = tuple[Reactions, Array]
+"""Reactions, and rows between places from one to the next of which the contact changes much."""
 
 
 def _places(position: Array, more: Array) -> Array:
@@ -303,7 +296,7 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
             row = np.arange(len(track.position), dtype=float)
             turned = row[turns[np.clip(np.searchsorted(at, row) - 1, 0, count - 2)] & ~np.isin(row, at)]
             force, moment, touches = _between(at, (s1, force, moment), touches, joined, len(track.position))
-        found.append(_Swept(Reactions(np.nan_to_num(force), np.nan_to_num(moment), touches, lost), turned))
+        found.append((Reactions(np.nan_to_num(force), np.nan_to_num(moment), touches, lost), turned))
     return found
 
 
