@@ -431,7 +431,7 @@ def of_checked(like: Recording, **columns: Any) -> Recording:
 
 
 def reaction_columns(force: Array, moment: Array, six_axis: bool) -> dict[str, Any]:
-    """The columns of a recording that hold reactions (n, 3) in N and N m; without six axes those in the plane, its moment last."""
+    """The columns of a recording that hold reactions (n, 3) in N and N m; without six axes those in the plane, mz last."""
     columns = {"force_N": force[:, :2], "moment_Nm": moment[:, -1]}
     return columns | (dict(zip(SIX_AXES, [force[:, 2], *moment[:, :2].T], strict=True)) if six_axis else {})
 

@@ -34,7 +34,7 @@ from scan3d.reconstruction.contacts import into_body, with_rows
 from scan3d.reconstruction.touches import oriented
 from scan3d.recording import Recording, of_rows
 from scan3d.spatial.bodies import sphere_directions
-from scan3d.surfaces.cut import ESTIMATED, KNOWN, UNKNOWN, cut_surface
+from scan3d.surfaces.cut import ESTIMATED, KNOWN, UNKNOWN, Cut, cut_surface
 from scan3d.units import length
 
 # Directions from which a place is looked at that no rod has touched.
@@ -94,9 +94,11 @@ def any_shape(recording: Recording, cloud: Cloud) -> AnyShape:
         moved=cloud.points,
     )
     apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
-    coverage = _coverage(found.surface, found.surface.vertex_attributes["known"])
-    off = int(found.off.sum())
-    return AnyShape(found.surface, float(contours.distance.max(initial=0.0)), apart, coverage, off)
+    return _of_cut(found, float(contours.distance.max(initial=0.0)), apart)
+
+
+def _of_cut(found: Cut, contours_bound: float, apart: float) -> AnyShape:
+    return AnyShape(found.surface, contours_bound, apart, _coverage(found.surface), int(found.off.sum()))
 
 
 def _free(sheets: list[Sheets], step: float) -> Array:
@@ -156,9 +158,10 @@ def _depth(points: Array, sheets: list[Sheets]) -> Array:
     return np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
 
 
-def _coverage(surface: Any, known: NDArray[np.int8]) -> dict[str, Any]:
+def _coverage(surface: Any) -> dict[str, Any]:
     """Shares of the area by class, and the patches of unknown surface."""
     faces, vertices = surface.faces.view(np.ndarray), surface.vertices.view(np.ndarray)
+    known: NDArray[np.int8] = surface.vertex_attributes["known"]
     area = areas(vertices[faces])
     # a third of each face belongs to each of its vertices
     of_vertex = np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(vertices))
@@ -193,13 +196,11 @@ def _from_anywhere(recording: Recording, cloud: Cloud) -> AnyShape:
     found = cut_surface(cloud.points, into_body(recording, cloud), passed_lines(recording, cloud))
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     found.surface.units = cloud.unit
-    coverage = _coverage(found.surface, found.surface.vertex_attributes["known"])
-    patches = coverage["unknown"]
-    if patches:
+    shape = _of_cut(found, _contours_bound(recording, cloud), TOUCHED * size)
+    if patches := shape.coverage["unknown"]:
         for patch, reason in zip(patches, _reasons(found.surface, patches, cloud, size), strict=True):
             patch["reason"] = reason
-    off = int(found.off.sum())
-    return AnyShape(found.surface, _contours_bound(recording, cloud), TOUCHED * size, coverage, off)
+    return shape
 
 
 def shape_of_touches(cloud: Cloud) -> AnyShape:
@@ -211,8 +212,7 @@ def shape_of_touches(cloud: Cloud) -> AnyShape:
     lines = _through_balls(cloud.points, cloud.normals)
     found = cut_surface(cloud.points, -cloud.normals, lines, lines.mean(axis=1))
     size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    coverage = _coverage(found.surface, found.surface.vertex_attributes["known"])
-    return AnyShape(found.surface, np.inf, TOUCHED * size, coverage, int(found.off.sum()))
+    return _of_cut(found, np.inf, TOUCHED * size)
 
 
 def _through_balls(points: Array, normals: Array) -> Array:
