@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,14 @@ def ratio(over: Array | float, under: Array) -> Array:
     """`over / under`, infinite or NaN without a warning where `under` is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return over / under
+
+
+Columns = TypeVar("Columns", bound=NamedTuple)
+
+
+def rows_of(columns: Columns, rows: NDArray[np.integer[Any]] | Mask | slice) -> Columns:
+    """Some of the rows of columns (n, ...) of the same length."""
+    return columns._make(column[rows] for column in columns)
 
 
 class Reactions(NamedTuple):

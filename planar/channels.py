@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions
+from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions, rows_of
 from planar.reconstruction import jacobian
 from planar.rods import Rod, solve
 
@@ -210,10 +210,6 @@ class Frames(NamedTuple):
     """(n, 2, k) the unit vectors against which the body pushes the rod, and along which the rod leaves the clamp."""
     normal: Array
     """(n, k) that across both; zero in a plane."""
-
-    def rows(self, rows: Index) -> Frames:
-        """The frames of some rows."""
-        return Frames(self.sweep[rows], self.place[rows], self.axes[rows], self.normal[rows])
 
 
 class Followed(NamedTuple):
@@ -559,6 +555,6 @@ def follow_pushes(
 ) -> Followed:
     """`follow` from what `by_push` tells of the first contact of each sweep."""
     sweeps = [np.flatnonzero(frames.sweep == number) for number in np.unique(frames.sweep)]
-    pushes = [by_push(frames.rows(rows), moment[rows], noise=noise, rod=rod) for rows in sweeps]
+    pushes = [by_push(rows_of(frames, rows), moment[rows], noise=noise, rod=rod) for rows in sweeps]
     start, start_sd = np.array(pushes).reshape(-1, 2).T
     return follow(frames, moment, start, rod=rod, noise=noise, start_sd=start_sd, **told)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planar import segments
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, rows_of
 from planar.contours import Path
 from planar.rods import Overhang, Rod, excess, grid, overhang, started, step
 from planar.segments import Equilibria, Segments, State, cut_rows, fractions, rates
@@ -108,7 +108,7 @@ class AnyRod(Equilibria):
             with np.errstate(invalid="ignore"):
                 nearer = np.abs(led_on.q[:, 1] - start[2]) < np.abs(u[rows] - start[2]) - _SOLVED
             better = np.isfinite(led_on.x0) & (~known[rows] | nearer)
-            _put(state, rows[better], _rows(led_on, better))
+            _put(state, rows[better], rows_of(led_on, better))
             tried[source[rows]] = True
             tried[source[rows[better]]] = False
             if not better.any():
@@ -122,7 +122,7 @@ class AnyRod(Equilibria):
         parts = parts._replace(tangential=np.where(unknown[:, 0], tangential_at_end, parts.tangential))
         tangential_at_end = np.where(unknown[:, 1], parts.tangential, tangential_at_end)
         rows = np.flatnonzero(unknown[:, 0] & ~unknown[:, 1])
-        part = parts.rows(rows)
+        part = rows_of(parts, rows)
         columns = path, part.piece, part.friction_angle
         w = np.stack([part.t[:, 1], np.zeros(len(rows)), part.q[:, 1, 1]])
         w, state = self._refined(*columns, self._newton(*columns, w, held=_FORCE), held=_FORCE)
@@ -130,7 +130,7 @@ class AnyRod(Equilibria):
         # a rod that curves towards the body climbs it from touch-down on, and comes back with more force
         fold = np.isnan(state.x0) | (w[0] < 0) | (w[0] > 1) | (rate > 0)
         ends = np.tile([np.nan, 1.0], (int(fold.sum()), 1))
-        w[:, fold] = self._root(path, part.rows(fold), ends, lambda found, _: np.ones(len(found.first)))
+        w[:, fold] = self._root(path, rows_of(part, fold), ends, lambda found, _: np.ones(len(found.first)))
         _put(state, fold, self._newton(path, part.piece[fold], part.friction_angle[fold], w[:, fold]).state)
         rate[fold] = -np.inf
         parts = cut_rows(parts, rows, w[0], state.x0, np.stack([rate, rate], axis=1), state.q)
@@ -288,7 +288,7 @@ class AnyRod(Equilibria):
                 change *= np.minimum(1.0, (largest / np.abs(change)).min(axis=0))
                 w[:, rows] += change
                 marched.values[:] += (slopes[rows] @ change.T[..., None])[..., 0].T
-                _put(state, rows[solved], _rows(_states(place, w[1:, rows], marched), solved))
+                _put(state, rows[solved], rows_of(_states(place, w[1:, rows], marched), solved))
                 rows = rows[~solved & np.isfinite(size + change.sum(axis=0))]
         return _Found(w, state, slopes, first)
 
@@ -301,7 +301,7 @@ class AnyRod(Equilibria):
         n, h = z.shape[1], np.full((3, z.shape[1]), 1e-7)
         if with_derivatives:
             h[1] = np.copysign(h[1], z[1])  # of the same kind
-            at, z = at.rows(np.tile(np.arange(n), 4)), np.tile(z, 4)
+            at, z = rows_of(at, np.tile(np.arange(n), 4)), np.tile(z, 4)
             for k, column in enumerate((*z, at.slope)):
                 column[(k + 1) * n : (k + 2) * n] += h[k]
         rod, alpha, (force, u) = self.rod.rows(at.contour), at.slope + at.zeta, z
@@ -340,9 +340,6 @@ class _Places(NamedTuple):
     turn: Array
     """Changes of the slope and of the arc length over the piece of the path."""
     arc: Array
-
-    def rows(self, rows: Index) -> _Places:
-        return _Places(*(column[rows] for column in self))  # type: ignore[arg-type]
 
 
 def _places(path: Path, piece: Index, t: Array, zeta: Array) -> _Places:
@@ -405,10 +402,6 @@ def _nowhere(n: int) -> State:
     """Room for states of which none is known."""
     x0, force, m0z, s1, x0_slope, x0_arc = np.full((6, n), np.nan)
     return State(x0, np.full((n, 2), np.nan), force, m0z, s1, x0_slope, x0_arc)
-
-
-def _rows(states: State, rows: Index | Mask) -> State:
-    return State._make(column[rows] for column in states)
 
 
 def _put(states: State, rows: Index | Mask, others: State) -> None:

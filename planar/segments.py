@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planar.arrays import Array, Index, Mask, ratio
+from planar.arrays import Array, Index, Mask, ratio, rows_of
 from planar.contours import Path
 from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
 
@@ -216,9 +216,6 @@ class Segments(NamedTuple):
     q: Array
     """(m, 2) or (m, 2, 2), that of `State`."""
 
-    def rows(self, rows: Index | slice) -> Segments:
-        return Segments._make(column[rows] for column in self)
-
 
 class Equilibria:
     """Those of the straight, uniform rod; `planar.rod_sweeps` has others."""
@@ -391,7 +388,7 @@ def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask,
     rows = np.flatnonzero(segments.tangential != tangential_at_end)
     if not len(rows):
         return segments
-    part = segments.rows(rows)
+    part = rows_of(segments, rows)
     t, along, by_tip = rod.transitions(path, part)
     slope = path.at(part.piece, t)[0]
     rate = np.stack([rates(path, part.piece, slope, state) for state in (along, by_tip)], axis=1)
@@ -407,7 +404,7 @@ def _cut_at_folds(path: Path, segments: Segments, rod: Equilibria) -> Segments:
     rows = np.flatnonzero((segments.rate[:, 0] < 0) & ends_rising)
     if not len(rows):
         return segments
-    t, state = rod.folds(path, segments.rows(rows))
+    t, state = rod.folds(path, rows_of(segments, rows))
     return cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
 
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planar import segments
-from planar.arrays import BLOCK, Array, Index, Mask, ratio
+from planar.arrays import BLOCK, Array, Index, Mask, ratio, rows_of
 from planar.contours import Outlines, Path, subdivided
 from planar.elastica import piece
 from planar.several import Rods, free_rods
@@ -121,7 +121,7 @@ class Singles:
         for start, count in zip(starts, size, strict=True):
             rows = np.arange(begin, begin + count)
             begin += count
-            holds = self._hold(start, lines.rows(rows), found.piece[rows])
+            holds = self._hold(start, rows_of(lines, rows), found.piece[rows])
             if holds and start.rod is not None and not self._same(rods.rows(rows[:1]), start.rod):
                 holds = 0
             answers.append((rods.rows(rows), holds))
@@ -137,7 +137,7 @@ class Singles:
             on = np.split(found.piece >= 0, np.cumsum(size)[:-1])
             for i, rows, begin in zip(sweeps, on, np.cumsum(size) - size, strict=True):
                 touches[i] = rows
-                touches[i][rows] = ~crosses(*self._polygon(int(i)), lines.rows(begin + np.flatnonzero(rows)))
+                touches[i][rows] = ~crosses(*self._polygon(int(i)), rows_of(lines, begin + np.flatnonzero(rows)))
         return touches
 
     def _polygon(self, sweep: int) -> tuple[Array, Index]:
@@ -176,7 +176,7 @@ class Singles:
         corners, following = self._polygon(start.sweep)
         bad, touching = np.zeros(n, dtype=bool), piece[:n] >= 0
         if touching.any():
-            bad[touching] = crosses(corners, following, rods.rows(np.flatnonzero(touching)))
+            bad[touching] = crosses(corners, following, rows_of(rods, np.flatnonzero(touching)))
         free = np.flatnonzero(~touching)
         bad[free] = straight_crosses(corners, following, rods.x[free, 0])
         n = int(np.argmax(bad)) if bad.any() else n
@@ -304,7 +304,7 @@ class Singles:
     def _solve(self, found: _Places, table: segments.Segments, samples: Index, rows: Index, base: Array) -> None:
         for start in range(0, len(samples), BLOCK):
             part, row = samples[start : start + BLOCK], rows[start : start + BLOCK]
-            piece, t, state = segments.UNIFORM.solve(self.runs.path, table.rows(row), base[part])
+            piece, t, state = segments.UNIFORM.solve(self.runs.path, rows_of(table, row), base[part])
             slope, _, _ = self.runs.path.at(piece, t)
             good = np.isfinite(state.force + state.m0z + state.s1)
             # at touch-down the rod is still straight
@@ -437,9 +437,6 @@ class Lines(NamedTuple):
     y: Array
     phi: Array
     kappa: Array
-
-    def rows(self, rows: Index | slice) -> Lines:
-        return Lines(*(column[rows] for column in self))
 
 
 def lines_of(x0: Array, kappa: Array, force_x: Array, force_y: Array, s1: Array) -> Lines:

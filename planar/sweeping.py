@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, segments
 from planar.any_body import SweepStatus, follow, last_contacts
-from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction
+from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction, rows_of
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
@@ -453,7 +453,7 @@ def _empty(x0: Array, friction: Array) -> Sweep:
 
 def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep, rod: Equilibria) -> None:
     """Fill in the states of the samples, which lie on the given rows."""
-    piece, t, state = rod.solve(path, table.rows(row), swept.x0[samples])
+    piece, t, state = rod.solve(path, rows_of(table, row), swept.x0[samples])
     slope, x, y = path.at(piece, t)
     alpha, f, (across, along) = slope + table.friction_angle[row], state.force, rod.pull(path, piece)
     swept.f0x[samples], swept.f0y[samples] = -f * np.sin(alpha) - across, f * np.cos(alpha) - along  # (8)
@@ -610,7 +610,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod:
 
 def _states(path: Path, table: Segments, row: Index, x0: Array, rod: Equilibria) -> list[Array]:
     """Slope, x, y, force and moment (n,) of contacts in a sweep in -x."""
-    piece, t, state = rod.solve(path, table.rows(row), x0)
+    piece, t, state = rod.solve(path, rows_of(table, row), x0)
     return [*path.at(piece, t), state.force, state.m0z]
 
 

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from planar.arrays import rows_of
 from scan3d.arrays import OCTANTS, Array, Index, Mask, ratio
 from scan3d.geometry.arcs import Arcs, Places
 from scan3d.geometry.hulls import Corners, corners_of_planes
@@ -79,7 +80,7 @@ def planes_of_arcs(arcs: Arcs, places: Places, tangents: Array, turns: Array) ->
         of the contacts, the tangents' errors in radians.
     """
     known = np.flatnonzero(arcs.half_width + turns < _WIDEST)
-    arcs, places, tangents, turns = arcs.select(known), places.select(known), tangents[known], turns[known]
+    arcs, places, tangents, turns = rows_of(arcs, known), places.select(known), tangents[known], turns[known]
     cosine = np.cos(arcs.half_width)
     off = places.along(arcs.ends()).max(axis=1) / cosine + turns * places.along(tangents[:, None])[:, 0]
     slopes = np.stack([np.tan(arcs.half_width), turns / cosine], axis=1)

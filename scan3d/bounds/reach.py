@@ -33,6 +33,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
+from planar.arrays import rows_of
 from scan3d.arrays import ROUNDING, Array, Mask, evenly
 from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.bounds.free_space import Sheets, contradicted, joined, place_errors, sheets_of
@@ -307,7 +308,7 @@ def _passed_by_beads(recording: Recording, cloud: Cloud, R: float) -> _Free:
     balls = []
     for rows in (~touches, touches):
         if rows.any():
-            along = _near(passed.select(rows).places(apart), cloud, 2 * (R + b))
+            along = _near(rows_of(passed, rows).places(apart), cloud, 2 * (R + b))
             balls.append(_Balls(along, b - pose - float(aside[rows].max())))
     assert cloud.bead_centres is not None
     at_end = pose + (0.0 if cloud.bead_sd is None else (allow.kappa or 0.0) * float(cloud.bead_sd.max()))

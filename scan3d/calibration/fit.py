@@ -34,6 +34,7 @@ from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, ndtr
 
+from planar.arrays import rows_of
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, evenly
 from scan3d.calibration.model import (
     CLAMP,
@@ -127,7 +128,7 @@ class Problem:
     """(6,) stated standard deviations of the gains of the sensor's channels."""
 
     def rows(self, selected: Mask | Index) -> Problem:
-        return replace(self, touches=self.touches.rows(selected))
+        return replace(self, touches=rows_of(self.touches, selected))
 
     def with_kinds(self, kind: NDArray[np.int8]) -> Problem:
         """The problem with the kinds (n,) of its contacts."""
@@ -911,7 +912,7 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
     heavy = np.flatnonzero(force >= np.median(force))
     coarse = replace(problem.rows(evenly(heavy, 400)), free=free)
-    searched = coarse.touches.rows(evenly(np.arange(len(coarse.touches.kind)), 150))
+    searched = rows_of(coarse.touches, evenly(np.arange(len(coarse.touches.kind)), 150))
     if problem.channels.all():
         turns, frames, offsets = (
             np.radians(np.arange(0, 360, 15)),

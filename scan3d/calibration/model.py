@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 from planar.rods import STEPS
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array
 from scan3d.calibration.references import Reference
 from scan3d.rigs import to_outer, wrench_matrix
 from scan3d.spatial.inverse import PAST_TIP, reconstruct
@@ -135,9 +135,6 @@ class Touches(NamedTuple):
     """(n, 6) wrench of the row's neighbours, which decides whether it is used."""
     kind: NDArray[np.int8]
     """(n,) of `Kind`."""
-
-    def rows(self, selected: Mask | Index) -> Touches:
-        return Touches(*(column[selected] for column in self))  # type: ignore[arg-type]
 
     def moved(self, correction: Array) -> Touches:
         """The rows with corrections (n, 9) of what was measured."""

@@ -63,9 +63,6 @@ class Arcs(NamedTuple):
     half_width: Array
     """(n,) δ in radians; NaN where the points contradict the premises, and where they lie on the line with the centre."""
 
-    def select(self, rows: Index) -> Arcs:
-        return Arcs(*(column[rows] for column in self))
-
     def ends(self) -> Array:
         """Normals (n, 2, 3) at the ends of the arcs."""
         cos, sin = np.cos(self.half_width)[:, None], np.sin(self.half_width)[:, None]

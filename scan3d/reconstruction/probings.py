@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import ROUNDING, Array, Index, Mask, ranges
+from planar.arrays import rows_of
+from scan3d.arrays import ROUNDING, Array, Index, ranges
 from scan3d.cloud import PER_CONTACT, Cloud
 from scan3d.errors import InputError
 from scan3d.reconstruction.contacts import at_rows
@@ -111,10 +112,6 @@ class Passed(NamedTuple):
     touching: Index
     """(m,) the contact in the cloud; -1 if there is none."""
 
-    def select(self, rows: Mask) -> Passed:
-        """Those of some probings (m,)."""
-        return Passed(self.begin[rows], self.axis[rows], self.end[rows], self.touching[rows])
-
     def places(self, apart: float, rod_length: float = np.inf) -> Array:
         """(n, 3) places at most so far apart on the axes, from where the clamp began to where the end came.
 
@@ -161,7 +158,7 @@ def passed_in_probings(recording: Recording, cloud: Cloud) -> Passed:
     ends = cloud.points if cloud.bead_centres is None else cloud.bead_centres
     where, touching = np.searchsorted(recording.sweep[first], cloud.sweep[probed]), np.full(len(first), -1)
     end[where], touching[where] = ends[probed], probed
-    return Passed(recording.position_m[first] / scale, axes[first, 1], end, touching).select(count > 0)
+    return rows_of(Passed(recording.position_m[first] / scale, axes[first, 1], end, touching), count > 0)
 
 
 def free_lines(recording: Recording, cloud: Cloud) -> Array:
