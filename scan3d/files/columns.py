@@ -47,10 +47,14 @@ class _Stored(NamedTuple):
     refused: str = ""
     """Why it is not read, if it is not."""
 
+    def turned(self) -> _Stored:
+        """The array with its axes in the opposite order."""
+        return self._replace(shape=self.shape[::-1], load=lambda: self.load().T)
+
     def upright(self) -> _Stored:
         """The array with a row for each of its many samples, and a column for each channel."""
         lies = len(self.shape) == 2 and self.shape[0] <= _CHANNELS and self.shape[1] > _WIDEST
-        return self._replace(shape=self.shape[::-1], load=lambda: self.load().T) if lies else self
+        return self.turned() if lies else self
 
     def columns(self) -> list[str]:
         """Their names, of an array that is wider than any log those of the first ones."""
@@ -185,9 +189,7 @@ def _matlab(path: Path, opened: ExitStack) -> Iterator[_Stored]:
     with open(path, "rb") as file:
         is_hdf5 = file.read(20).startswith(b"MATLAB 7.3")
     if is_hdf5:
-        # as MATLAB has its axes
-        for one in _hdf5(path, opened):
-            yield one._replace(shape=one.shape[::-1], load=partial(_transposed, one))
+        yield from (one.turned() for one in _hdf5(path, opened))  # as MATLAB has its axes
         return
     _check_size(path, _unpacked(path))
     variables = whosmat(path)
@@ -196,10 +198,6 @@ def _matlab(path: Path, opened: ExitStack) -> Iterator[_Stored]:
     # numbers may be stored in fewer bytes than they need
     _check_size(path, 8 * sum(math.prod(map(float, shape)) for _, shape, _ in variables))
     yield from _flat("", loadmat(path, simplify_cells=True))
-
-
-def _transposed(stored: _Stored) -> NDArray[Any]:
-    return stored.load().T
 
 
 def _unpacked(path: Path) -> float:
