@@ -372,14 +372,12 @@ def _write_log(log: RawLog, path: Path) -> None:
 
 
 def _write_placed(body: Any, unit: str, path: Path) -> None:
-    import numpy as np
-
-    from scan3d.files.shapes import ply
+    from scan3d.files import shapes
     from scan3d.files.whole import write_atomic
 
-    vertices = np.asarray(body.vertices, dtype=float)
-    rows = np.array(list(map(tuple, vertices)), dtype=[(name, "f8") for name in "xyz"])
-    write_atomic(path, ply(rows, np.asarray(body.faces), comments=("scan3d surface", f"unit {unit}")), "--placed")
+    rows = shapes.table(dict(zip("xyz", body.vertices.T, strict=True)))
+    data = shapes.ply(rows, body.faces, comments=("scan3d surface", f"unit {unit}"))
+    write_atomic(path, data, "--placed")
 
 
 def calibrate(

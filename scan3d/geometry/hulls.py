@@ -30,8 +30,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest, ranges, unit_or_zero
@@ -41,6 +39,7 @@ from scan3d.geometry.triangles import (
     areas,
     dot,
     largest_of_three,
+    linked,
     mirrored_faces,
     opposite_edges,
     representatives,
@@ -531,14 +530,13 @@ def plane_faces(points: Array, tolerance: float) -> Array:
     # facets in a plane face are linked with each other, to their neighbours in it
     depths = planes[:, 3, None, None] - np.einsum("fkcx,fx->fkc", corners[qhull.neighbors], planes[:, :3])
     facet, side = np.nonzero(depths.max(axis=2) <= tolerance)
-    links = coo_array((np.ones(len(facet)), (facet, qhull.neighbors[facet, side])), shape=(len(planes),) * 2)
-    _, group = connected_components(links, directed=False)
+    _, group = linked(facet, qhull.neighbors[facet, side], len(planes))
     order = np.lexsort((-area, group))
     first = order[np.r_[True, np.diff(group[order]) > 0]]
-    linked = first[np.bincount(group)[group[first]] > 3]
+    in_planes = first[np.bincount(group)[group[first]] > 3]
     faces: list[Array] = []
     # those with the largest facets first
-    for plane in planes[linked[np.argsort(-area[linked], kind="stable")]][:400]:
+    for plane in planes[in_planes[np.argsort(-area[in_planes], kind="stable")]][:400]:
         depth = plane[3] - points[qhull.vertices] @ plane[:3]
         near = points[qhull.vertices[depth <= tolerance]]
         known = any((np.abs(face[3] - near @ face[:3]) <= tolerance).all() for face in faces)

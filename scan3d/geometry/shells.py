@@ -12,12 +12,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, unit_or_zero
 from scan3d.geometry.hulls import runs_both_ways, turns, was_judged
-from scan3d.geometry.triangles import areas, distinct_rows, dot, without_unused
+from scan3d.geometry.triangles import areas, distinct_rows, dot, linked, without_unused
 
 # Directions about an edge are one within this part of a turn, as those of faces in a plane that are cut differently.
 _TURN = 1e-9
@@ -35,9 +33,8 @@ def shells(points: Array, faces: Index) -> Index:
     first = np.flatnonzero((np.diff(low[order], prepend=-1) != 0) | (np.diff(high[order], prepend=-1) != 0))
     count = np.diff(first, append=len(order))
     a, b = (order[first[count == 2] + k] // 3 for k in (0, 1))
-    links = coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
-    _, label = connected_components(links, directed=False)
-    parent = list(range(int(label.max(initial=-1)) + 1))
+    count_of_parts, label = linked(a, b, len(faces))
+    parent = list(range(count_of_parts))
 
     def part(edge: int) -> int:
         number = int(label[edge // 3])

@@ -163,14 +163,20 @@ def mirrored_faces(faces: Index) -> tuple[Mask, bool]:
     first, second = order[:-1][pair], order[1:][pair]
     # each face stands twice in this graph, as it is and mirrored; neighbours that are wound alike are joined
     face, neighbour, against = first // 3, second // 3, start[first] == start[second]
-    ends = (
-        np.concatenate([face, face + count]),
-        np.concatenate([neighbour + count * against, neighbour + count * ~against]),
-    )
-    links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
-    parts, label = connected_components(links, directed=False)  # numbered by their first members
+    beside = np.concatenate([neighbour + count * against, neighbour + count * ~against])
+    parts, label = linked(np.concatenate([face, face + count]), beside, 2 * count)
     mirrored: Mask = label[:count] > label[count:]
     return mirrored, parts == 2 and 2 * len(first) == faces.size and bool((label[:count] != label[count:]).all())
+
+
+def linked(one: Index, other: Index, count: int) -> tuple[int, Index]:
+    """How many groups so many members are in, of which those of pairs (k,) belong together, and the group (count,) of each.
+
+    Groups are numbered by their first members.
+    """
+    links = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    groups, group = connected_components(links, directed=False)
+    return groups, group
 
 
 def distance_of_readers(points: Array) -> float:

@@ -18,11 +18,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index
-from scan3d.geometry.triangles import opposite_edges
+from scan3d.geometry.triangles import linked, opposite_edges
 
 LARGEST_TURN = 0.5
 """Largest turn of a normal in one step of Newton's method, in radians: beyond it the linearisation does not hold."""
@@ -256,9 +254,7 @@ class RoundedPolyhedron:
             for end in (self.tail, self.head)
         ]
         first, second = np.concatenate(pairs, axis=1)
-        graph = coo_array((np.ones(len(first)), (first, second)), shape=(3 * count, 3 * count))
-        groups, group = connected_components(graph, directed=False)
-        return groups, group
+        return linked(first, second, 3 * count)
 
     def _corner(self, face: Index, vertex: Index) -> Index:
         """Which corner (n,) of each face is a vertex."""

@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Mask, unit_or_zero
@@ -28,7 +26,7 @@ from scan3d.cloud import TOUCHED, Cloud, NormalSource
 from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.crossings import first_crossings
 from scan3d.geometry.distance import Search
-from scan3d.geometry.triangles import areas, dot, face_normals, kept_apart
+from scan3d.geometry.triangles import areas, dot, face_normals, kept_apart, linked
 from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import into_body, with_rows
 from scan3d.reconstruction.touches import oriented
@@ -168,8 +166,7 @@ def _coverage(surface: Any) -> dict[str, Any]:
     total = float(of_vertex.sum())
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     both = (known[start] == UNKNOWN) & (known[end] == UNKNOWN)
-    links = coo_array((np.ones(int(both.sum()), dtype=bool), (start[both], end[both])), shape=(len(vertices),) * 2)
-    part = connected_components(links, directed=False)[1]
+    _, part = linked(start[both], end[both], len(vertices))
     rows = np.flatnonzero(known == UNKNOWN)
     patches = []
     for number in np.unique(part[rows]):

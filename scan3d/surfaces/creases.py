@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import coo_array, eye_array
-from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
-from scan3d.geometry.triangles import dot, opposite_edges, spanned
+from scan3d.geometry.triangles import dot, linked, opposite_edges, spanned
 from scan3d.surfaces.tetrahedra import Edges, divided
 
 # Cosines of the angles between planes that meet in an edge: at smaller ones a smooth body may be bent, and at larger ones the
@@ -46,8 +45,7 @@ def creased(vertices: Array, faces: Index) -> tuple[Array, Index]:
     # edges with a face between them cross the same crease
     start, end = (edges.number[:, k].ravel() for k in ([0, 1, 2], [1, 2, 0]))
     both = bent[start] & bent[end]
-    links = coo_array((np.ones(int(both.sum())), (start[both], end[both])), shape=(len(bent), len(bent)))
-    part = connected_components(links, directed=False)[1]
+    _, part = linked(start[both], end[both], len(bent))
     count, sures = np.bincount(part, bent), np.bincount(part, sure)
     split = bent & (sures >= np.maximum(_SURE * count, _LEAST))[part]
     least = _FLAT * float(np.median(np.linalg.norm(b - a, axis=1))) ** 2

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import Array, Index, Mask, unit_or_zero
-from scan3d.geometry.triangles import opposite_edges, without_unused
+from scan3d.geometry.triangles import linked, opposite_edges, without_unused
 
 OPPOSITE = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 """The corners of the face opposite each corner."""
@@ -75,8 +75,7 @@ def mend(body: Mask, wrong: Index, corners: Index, neighbours: Index, cost: Arra
     found = np.minimum(np.searchsorted(node, beyond), len(node) - 1)
     same = (node[found] == beyond) & (other >= 0) & (body[other] == body[cell][:, None])
     start = np.nonzero(same)[0]
-    steps = coo_array((np.ones(len(start), dtype=bool), (start, found[same])), shape=(len(node),) * 2)
-    fans, fan = connected_components(steps, directed=False)
+    fans, fan = linked(start, found[same], len(node))
     sizes, edge_of, inside = np.bincount(fan, cost[cell]), np.zeros(fans, dtype=np.int64), np.zeros(fans, dtype=bool)
     edge_of[fan], inside[fan] = edge, body[cell]
     sizes[inside] = np.inf if only_add else sizes[inside]
@@ -151,8 +150,7 @@ def manifold(points: Array, faces: Index, apart: float) -> tuple[Array, Index]:
     # the face across the edge that begins at a corner has the same point at the end of its own edge
     across = opposite.ravel()
     same = across // 3 * 3 + (across + 1) % 3
-    steps = coo_array((np.ones(faces.size, dtype=bool), (corner, same)), shape=(faces.size,) * 2)
-    count, fan = connected_components(steps, directed=False)
+    count, fan = linked(corner, same, faces.size)
     point = np.empty(count, dtype=np.int64)
     point[fan] = faces.ravel()
     vertices = points[point]
