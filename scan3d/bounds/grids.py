@@ -13,6 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import AT_ONCE, Array, Index, Mask
+from scan3d.geometry.distance import poly_data
 
 EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
 # Cubes around the places.
@@ -74,21 +75,11 @@ class Grid:
 
     def inside(self, surface: Any) -> Mask:
         """Which cells have their centres inside of a closed `trimesh.Trimesh`."""
-        from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-        from vtkmodules.vtkCommonCore import vtkPoints
-        from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+        from vtkmodules.util.numpy_support import vtk_to_numpy
         from vtkmodules.vtkImagingStencil import vtkImageStencilToImage, vtkPolyDataToImageStencil
 
-        points, faces = vtkPoints(), vtkCellArray()
-        points.SetData(numpy_to_vtk(np.asarray(surface.vertices, dtype=float), deep=True))
-        corners = np.asarray(surface.faces, dtype=np.int64)
-        begins = numpy_to_vtkIdTypeArray(3 * np.arange(len(corners) + 1), deep=True)
-        faces.SetData(begins, numpy_to_vtkIdTypeArray(corners.ravel(), deep=True))
-        body = vtkPolyData()
-        body.SetPoints(points)
-        body.SetPolys(faces)
         stencil, image = vtkPolyDataToImageStencil(), vtkImageStencilToImage()
-        stencil.SetInputData(body)
+        stencil.SetInputData(poly_data(surface.vertices.view(np.ndarray), surface.faces.view(np.ndarray)))
         stencil.SetOutputOrigin(*self.origin)
         stencil.SetOutputSpacing(*np.full(3, self.step))
         stencil.SetOutputWholeExtent(*(end for n in self.shape for end in (0, n - 1)))

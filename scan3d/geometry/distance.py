@@ -209,7 +209,7 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     return nearest
 
 
-def poly_data(points: Array, faces: Index, lines: Index | None = None) -> Any:
+def poly_data(points: Array, faces: Index | None = None, lines: Index | None = None) -> Any:
     """The `vtkPolyData` of points (n, 3) with lines (l, 2) and triangles (m, 3), its cells in this order."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
@@ -227,7 +227,8 @@ def poly_data(points: Array, faces: Index, lines: Index | None = None) -> Any:
     data.SetPoints(places)
     if lines is not None:
         data.SetLines(cell_array(lines))
-    data.SetPolys(cell_array(faces))
+    if faces is not None:
+        data.SetPolys(cell_array(faces))
     return data
 
 

@@ -25,7 +25,7 @@ from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_conto
 from scan3d.cloud import TOUCHED, Cloud, NormalSource
 from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.crossings import first_crossings
-from scan3d.geometry.distance import Search
+from scan3d.geometry.distance import Search, poly_data
 from scan3d.geometry.triangles import areas, dot, face_normals, kept_apart, linked
 from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import into_body, with_rows
@@ -237,15 +237,11 @@ def with_estimated_normals(cloud: Cloud) -> Cloud:
     unknown: Mask = np.isnan(cloud.normals[:, 0])
     if not unknown.any():
         return cloud
-    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-    from vtkmodules.vtkCommonCore import vtkPoints
-    from vtkmodules.vtkCommonDataModel import vtkPolyData
+    from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersPoints import vtkPCANormalEstimation
 
-    places, data, estimate = vtkPoints(), vtkPolyData(), vtkPCANormalEstimation()
-    places.SetData(numpy_to_vtk(np.ascontiguousarray(cloud.points)))
-    data.SetPoints(places)
-    estimate.SetInputData(data)
+    estimate = vtkPCANormalEstimation()
+    estimate.SetInputData(poly_data(cloud.points))
     estimate.SetSampleSize(_PLANE_OF)
     estimate.SetNormalOrientationToGraphTraversal()
     estimate.Update()
