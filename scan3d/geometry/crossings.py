@@ -3,6 +3,7 @@ along itself."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -32,16 +33,8 @@ def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index
     centre = mesh.bounds.mean(axis=0)
     corners, lines = (mesh.vertices.view(np.ndarray) - centre) @ frame.T, (start - centre) @ frame.T
     faces = mesh.faces.view(np.ndarray)
-    order = np.argsort(lines[:, 1], kind="stable")
-    level = lines[order, 1]
     height = corners[faces, 1]
-    first = np.searchsorted(level, -largest_of_three(-height))
-    count = np.searchsorted(level, largest_of_three(height), side="right") - first
-    near = np.flatnonzero(count)
-    blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE, count.sum(), AT_ONCE))
-    for some in np.split(near, np.unique(blocks)):
-        which, after = ranges(count[some])
-        candidate, line = some[which], order[first[some][which] + after]
+    for candidate, line in _near(lines[:, 1], -largest_of_three(-height), largest_of_three(height), AT_ONCE):
         met, depth = _met(corners, faces[candidate], lines[line])
         candidate, line, depth = candidate[met], line[met], depth[met]
         depth -= lines[line, 2]
@@ -51,6 +44,18 @@ def first_crossings(mesh: Any, start: Array, along: Array) -> tuple[Array, Index
         closer = nearest[depth[nearest] < distance[line[nearest]]]
         distance[line[closer]], face[line[closer]] = depth[closer], candidate[closer]
     return distance, face
+
+
+def _near(level: Array, low: Array, high: Array, at_once: int) -> Iterator[tuple[Index, Index]]:
+    """The pairs of faces (m,) that reach from `low` to `high`, and lines at a `level` (n,) between, about so many at once."""
+    order = np.argsort(level, kind="stable")
+    first = np.searchsorted(level[order], low)
+    count = np.searchsorted(level[order], high, side="right") - first
+    near = np.flatnonzero(count)
+    blocks = np.searchsorted(np.cumsum(count[near]), np.arange(at_once, count.sum(), at_once))
+    for some in np.split(near, np.unique(blocks)):
+        which, after = ranges(count[some])
+        yield some[which], order[first[some][which] + after]
 
 
 def first_met(mesh: Any, start: Array, along: Array) -> tuple[Array, Index]:
@@ -142,14 +147,7 @@ def first_touches(mesh: Any, start: Array, along: Array, radius: float) -> tuple
         corners = triangles[normals @ common < 0]
         flat, lines = corners @ frame[:2].T, start[rows] @ frame[:2].T
         low, high = flat.min(axis=1) - radius, flat.max(axis=1) + radius
-        order = np.argsort(lines[:, 1], kind="stable")
-        first = np.searchsorted(lines[order, 1], low[:, 1])
-        count = np.searchsorted(lines[order, 1], high[:, 1], side="right") - first
-        near = np.flatnonzero(count)
-        blocks = np.searchsorted(np.cumsum(count[near]), np.arange(AT_ONCE // 8, count.sum(), AT_ONCE // 8))
-        for some in np.split(near, np.unique(blocks)):
-            which, after = ranges(count[some])
-            face, line = some[which], order[first[some][which] + after]
+        for face, line in _near(lines[:, 1], low[:, 1], high[:, 1], AT_ONCE // 8):
             beside = (lines[line, 0] >= low[face, 0]) & (lines[line, 0] <= high[face, 0])
             face, line = face[beside], line[beside]
             met, away = _touched(corners[face], start[rows[line]], common, radius)
