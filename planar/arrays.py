@@ -25,6 +25,15 @@ def ratio(over: Array | float, under: Array) -> Array:
         return over / under
 
 
+def ranges(count: NDArray[np.integer[Any]]) -> tuple[Index, Index]:
+    """Of numbers from 0 that repeat so many times each (n,): which number it is, and how often it came before.
+
+    Of the counts 2 and 1 these are ``0 0 1`` and ``0 1 0``.
+    """
+    number = np.repeat(np.arange(len(count)), count)
+    return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
+
+
 Columns = TypeVar("Columns", bound=NamedTuple)
 
 

@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask, ratio
+from planar.arrays import ROUNDING, Array, Index, Mask, ranges, ratio
 from planar.plots import Shown, plot_loops
 
 if TYPE_CHECKING:
@@ -149,9 +149,8 @@ class Outlines:
         whole = np.bincount(loop_of[curves], weights=length)
         number = np.maximum(np.ceil(1200 * length / whole[loop_of[curves]]), 3).astype(np.intp)
         number = np.maximum(number, 2 * self.intervals[curves])
-        self._piece = np.repeat(curves, number)
-        step = np.arange(len(self._piece)) - np.repeat(np.cumsum(number) - number, number)
-        self._u = (step + 0.5) / np.repeat(number, number)
+        curve, step = ranges(number)
+        self._piece, self._u = curves[curve], (step + 0.5) / number[curve]
         points = self.at(self._piece, self._u).point
         self.samples = points
         self._tree = scipy.spatial.cKDTree(np.column_stack([points, _APART * self.body[self._piece]]))
@@ -303,10 +302,8 @@ def crosses_itself(vertices: Array) -> tuple[int, int] | None:
     size = np.ptp(vertices, axis=0).max()
     for begin in range(0, n, 256):
         rows = np.arange(begin, min(begin + 256, n))
-        number = np.maximum(last[rows] - rows - 1, 0)
-        a = np.repeat(rows, number)
-        b = a + 1 + np.arange(len(a)) - np.repeat(np.cumsum(number) - number, number)
-        a, b = order[a], order[b]
+        row, rank = ranges(np.maximum(last[rows] - rows - 1, 0))
+        a, b = order[rows[row]], order[rows[row] + 1 + rank]
         apart = np.abs(a - b)
         pairs = (apart > 1) & (apart < n - 1)
         a, b = a[pairs], b[pairs]
@@ -466,10 +463,9 @@ def subdivided(slope: Array, turn: Array, point: Array, move: Array) -> tuple[_P
     """The pieces divided evenly until none is longer or wider than the bounds, and the piece that each part is of."""
     parts = np.maximum(np.hypot(*move.T) / _LONGEST_PIECE, np.abs(turn) / _WIDEST_PIECE)
     parts = np.maximum(np.ceil(parts), 1).astype(np.intp)
-    row = np.repeat(np.arange(len(parts)), parts)
-    step = (np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
+    row, step = ranges(parts)
     turn, move = turn[row] / parts[row], move[row] / parts[row, None]
-    return (slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move), row
+    return (slope[row] + step * turn, turn, point[row] + step[:, None] * move, move), row
 
 
 def check_height(lowest: float) -> None:

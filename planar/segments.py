@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planar.arrays import Array, Index, Mask, ratio, rows_of
+from planar.arrays import Array, Index, Mask, ranges, ratio, rows_of
 from planar.contours import Path
 from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
 
@@ -310,9 +310,8 @@ def cut_intervals(
 ) -> tuple[Segments, Index]:
     """Segments of owners that each have the pieces from `first` to `stop`, and where each owner's begin (owners + 1,)."""
     count = stop - first
-    owner = np.repeat(np.arange(len(count)), count)
-    piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
-    table = cut(path, owner, piece, friction_angle[owner], rod)
+    owner, after = ranges(count)
+    table = cut(path, owner, first[owner] + after, friction_angle[owner], rod)
     return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from planar.arrays import ranges as ranges
 from planar.arrays import ratio as ratio
 
 Array = NDArray[np.float64]
@@ -37,15 +38,6 @@ OCTANTS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
 def evenly(rows: NDArray[Any], count: int) -> NDArray[Any]:
     """At most `count` of the rows (n, ...), evenly chosen, the first and the last among them."""
     return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
-
-
-def ranges(count: Index) -> tuple[Index, Index]:
-    """Of numbers from 0 that repeat so many times each (n,): which number it is, and how often it came before.
-
-    Of the counts 2 and 1 these are ``0 0 1`` and ``0 1 0``.
-    """
-    number = np.repeat(np.arange(len(count)), count)
-    return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -> Array:

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtrc, chdtri
 
-from scan3d.arrays import Array, Index, Mask, evenly
+from scan3d.arrays import Array, Index, Mask, evenly, ranges
 from scan3d.bounds.constraints import AVERAGED, Allowed
 from scan3d.cloud import Cloud
 from scan3d.reconstruction.slices import Slice, SliceStack
@@ -393,10 +393,8 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
         for runs in members:
             own, other = np.nonzero(runs >= 0)
             other = runs[own, other]
-            repeated = number[other]
-            offset = np.arange(repeated.sum()) - np.repeat(np.cumsum(repeated) - repeated, repeated)
-            row = np.repeat(first[other], repeated) + offset
-            group = np.repeat(own, repeated)
+            member, offset = ranges(number[other])
+            row, group = first[other][member] + offset, own[member]
             weight = 1 / scaled[row]
             rows.append(row)
             groups.append(group + count)

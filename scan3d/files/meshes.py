@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index
+from scan3d.arrays import LARGEST, NEGLIGIBLE, Array, Index, ranges
 from scan3d.comparison import against_own_hull
 from scan3d.errors import InputError
 from scan3d.files.shapes import Shape, float32_step, lost_in_float32, parse_ply, read_glb, triangulated
@@ -409,6 +409,7 @@ def _off(data: bytes) -> tuple[Array, Index]:
     lengths = words[start[:-1]].astype(int)
     if (np.diff(start) <= lengths).any():
         raise ValueError("cut off")
-    places = np.repeat(start[:-1] + 1 - np.cumsum(lengths) + lengths, lengths) + np.arange(lengths.sum())
+    face, after = ranges(lengths)
+    places = start[face] + 1 + after
     points = _points(lines[first : first + count])
     return points, triangulated(points, words[places].astype(int), lengths)

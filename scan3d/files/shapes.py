@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
+from scan3d.arrays import NEGLIGIBLE, Array, Index, ranges, unit_or_zero
 from scan3d.choices import EXPORTS, one_of
 from scan3d.cloud import Cloud
 from scan3d.comparison import against_own_hull
@@ -155,8 +155,8 @@ def triangulated(points: Array, corners: Index, lengths: Index) -> Index:
     if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
         raise ValueError(f"its faces refer to vertices beyond its {len(points)}")
     number = np.maximum(lengths - 2, 0)
-    first, polygon = np.cumsum(number) - number, np.repeat(np.arange(len(lengths)), number)
-    start, k = (np.cumsum(lengths) - lengths)[polygon], np.arange(len(polygon)) - first[polygon]
+    polygon, k = ranges(number)
+    first, start = np.cumsum(number) - number, (np.cumsum(lengths) - lengths)[polygon]
     faces: Index = corners[np.stack([start, start + k + 1, start + k + 2], axis=1)]
     if lengths.max(initial=3) == 3:
         return faces

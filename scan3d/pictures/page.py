@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array, weighted_quantiles
+from scan3d.arrays import Array, ranges, weighted_quantiles
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures import parts
@@ -298,6 +298,5 @@ def samples_of(recording: Recording, rows: NDArray[np.int64]) -> Samples:
     begin = np.maximum(first - air, np.searchsorted(ordered, numbers, "left"))
     end = np.minimum(last + air + 1, np.searchsorted(ordered, numbers, "right"))
     lengths = end - begin
-    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    kept = np.repeat(begin - starts, lengths) + np.arange(lengths.sum())
-    return Samples(order[kept], starts, numbers, (starts - begin)[group] + place[rows])
+    starts, (sweep, after) = np.cumsum(lengths) - lengths, ranges(lengths)
+    return Samples(order[begin[sweep] + after], starts, numbers, (starts - begin)[group] + place[rows])
