@@ -21,6 +21,7 @@ from spatial_bodies import (
 from spatial_scans import recorded
 
 import scan3d
+from planar.arrays import rows_of
 from scan3d.bounds import allowed, enclosure, enclosures, missing
 from scan3d.geometry.arcs import Places
 
@@ -160,7 +161,7 @@ def beyond(body, cloud, kappa):
     points = points + cloud.rod_radius * normals
     above = points @ planes.normals.T - (planes.normals * planes.points).sum(axis=1) - planes.errors
     point, plane = np.nonzero(above > 0)
-    wrong = above[point, plane] > planes.select(plane).moved(points[point]) + 1e-9
+    wrong = above[point, plane] > rows_of(planes, plane).moved(points[point]) + 1e-9
     return len(np.unique(plane[wrong])), len(planes.points)
 
 

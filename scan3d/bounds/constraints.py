@@ -122,11 +122,6 @@ class HalfSpaces(NamedTuple):
     points: Array
     """(k, 3) the contacts, where slices along several axes cut them into cells; else (0, 3)."""
 
-    def select(self, rows: Mask) -> HalfSpaces:
-        return HalfSpaces(
-            self.planes[rows], self.straight[rows], self.points[rows] if len(self.points) else self.points
-        )
-
 
 def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpaces:
     """The half-spaces of slice i that hold below it (`side` 0) or above it (1), by secants from the slices on its other side.
@@ -150,7 +145,7 @@ def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpace
     planes = _inclined(normals @ stack.frame[:2], stack.frame[2], slope, slice_.value, slice_.height, move)
     straight = _goes_on_straight(slice_, behind, ahead, normals)
     finite: Mask = np.asarray(np.isfinite(planes).all(axis=1))
-    return HalfSpaces(planes, straight, np.empty((0, 3))).select(finite)
+    return HalfSpaces(planes[finite], straight[finite], np.empty((0, 3)))
 
 
 def _anchors(stack: SliceStack, others: tuple[Slice, ...], slice_: Slice) -> tuple[Slice, ...]:
@@ -237,16 +232,12 @@ def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list
             usable = finite.all(axis=1) | at_end
             # a contact that lies off the plane of its slice has the other slope between the two
             move = error + 2 * off * np.where(finite, np.abs(slopes), 0.0).sum(axis=1)
-            found.append(
-                [
-                    HalfSpaces(
-                        _inclined(outward, along, slopes[:, side], value, slice_.height, move),
-                        np.zeros(len(rows), dtype=bool),
-                        points,
-                    ).select(usable & finite[:, side])
-                    for side in (0, 1)
-                ]
-            )
+            of_sides = []
+            for side in (0, 1):
+                planes = _inclined(outward, along, slopes[:, side], value, slice_.height, move)
+                kept = usable & finite[:, side]
+                of_sides.append(HalfSpaces(planes[kept], np.zeros(np.count_nonzero(kept), dtype=bool), points[kept]))
+            found.append(of_sides)
         sides.append([list(column) for column in zip(*found, strict=True)])
     return sides, off
 

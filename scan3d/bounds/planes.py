@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from planar.arrays import rows_of
-from scan3d.arrays import OCTANTS, Array, Index, Mask, ratio
+from scan3d.arrays import OCTANTS, Array, Mask, ratio
 from scan3d.geometry.arcs import Arcs, Places
 from scan3d.geometry.hulls import Corners, corners_of_planes
 from scan3d.geometry.triangles import dot
@@ -59,10 +59,6 @@ class Planes(NamedTuple):
     """(n, 2, 3) unit vectors across the normals, along which the distances are measured."""
     alike: Mask
     """(n,) whether the first slope counts in all directions across the normal."""
-
-    def select(self, rows: Index | Mask) -> Planes:
-        columns: list[Any] = [column[rows] for column in self]
-        return Planes(*columns)
 
     def moved(self, places: Array) -> Array:
         """(...) by how much planes (...) are moved outwards so that the body may lie at places (..., 3), but for the errors."""
@@ -163,7 +159,7 @@ def _caps(corners: Array, planes: Planes, value: Array) -> Array:
         part = ratio(here, here - there[crosses])[:, None]
         crossing = (1 - part) * hull.points[corner[which[crosses]]] + part * hull.points[other[crosses]]
         row = np.concatenate([plane, plane[which[crosses]]])
-        np.maximum.at(moved, row, planes.select(row).moved(np.concatenate([hull.points[corner], crossing])))
+        np.maximum.at(moved, row, rows_of(planes, row).moved(np.concatenate([hull.points[corner], crossing])))
         # of the corners beyond those of this round and of the one before are known
         this = plane * len(hull.points) + corner
         code = np.unique(plane[which[~crosses]] * len(hull.points) + other[~crosses])
