@@ -21,7 +21,7 @@ from typing import Any
 from scan3d.choices import CHARTS
 from scan3d.errors import InputError
 from scan3d.pictures import canvas
-from scan3d.pictures.figures import Sheet
+from scan3d.pictures.figures import Sheet, blank_figure, own_style
 from scan3d.pictures.parts import Scene
 from scan3d.workers import python
 
@@ -260,11 +260,8 @@ def serve() -> None:
 def _warm_up() -> None:
     """Render a sphere and a power of ten, for which the driver, the fonts and the parser of formulas are loaded."""
     import pyvista
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     from scan3d.pictures import views  # noqa: F401 - imported before they are needed
-    from scan3d.pictures.figures import own_style
 
     plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
     plotter.add_mesh(pyvista.Sphere())
@@ -273,9 +270,9 @@ def _warm_up() -> None:
     if image.min() == image.max():  # as where VTK falls back to a window that is never shown
         sys.exit(3)
     with own_style():
-        figure = Figure(figsize=(1, 1))
+        figure = blank_figure(1.0, width=1.0)
         figure.text(0.5, 0.5, "$10^{-1}$")
-        FigureCanvasAgg(figure).draw()
+        figure.canvas.draw()
 
 
 def _pictures(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:

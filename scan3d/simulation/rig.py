@@ -30,7 +30,7 @@ from scan3d.planning.plan import Plan
 from scan3d.planning.probing import Probings
 from scan3d.poses import TABLE, Move, PoseList, measures
 from scan3d.recording import Recording, reaction_columns
-from scan3d.rigs import check_positions, to_inner, turn_of
+from scan3d.rigs import axes_of, check_positions, to_inner, turn_of
 from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.simulation.probing import felt_along
@@ -312,7 +312,7 @@ def _tracks(
     members = [where for where in members if len(where) > 1]
     if not members and len(sweeping):
         raise InputError("no sweep has two rows in this log; choose a higher rate_hz or a lower speed")
-    axes = Rotation.from_quat(rows.quaternion, scalar_first=True).as_matrix().swapaxes(1, 2)
+    axes = axes_of(rows.quaternion)
     tracks = []
     for where in members:
         number = int(rows.sweep[where[0]])
