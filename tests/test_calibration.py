@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 import scan3d
+from planar.arrays import rows_of
 from scan3d import InputError
 from scan3d.calibration import fit
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
@@ -87,7 +88,7 @@ def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, sh
     reference = Plane.of(recording.rod) if kind == "plane" else Sphere.of(rigs.DIAMETER, recording.rod)
     problem, nominal = fit.measured(recording, reference, "auto")
     every, within = (5, 1e-6) if shape is None else (40, 1e-3)  # differences by steps of 1e-5, of the march
-    touches = problem.touches.rows(np.arange(0, len(problem.touches.number), every))
+    touches = rows_of(problem.touches, np.arange(0, len(problem.touches.number), every))
     touches = touches._replace(kind=np.full(len(touches.kind), contact, dtype=np.int8))
     rng, size = np.random.default_rng(0), len(problem.free)
     rig, h = nominal.moved(0.02 * rng.normal(size=size)), 1e-6
