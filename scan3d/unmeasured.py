@@ -94,12 +94,14 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
 
     rows = _rows(stopped, values[:, varying])
     add(Gap(-1, False, float("nan") if values[rows].any() else 0.0, rows))
-    first = np.flatnonzero(fresh)[np.cumsum(fresh) - 1]
-    slow = ~left & (pose != pose[first]).any(axis=1)
-    if (count := int(slow.sum())) > SEVERAL and pdtrc(count - 1, SEVERAL * _together(changes[~left])) < CHANCE:
-        add(Gap(-1, False, 0.0, np.flatnonzero(slow), usual))
+    other = differs.any(axis=1)
+    first = np.flatnonzero(other)[np.cumsum(other) - 1]
+    # a simulation shows zeros in the air
+    slow = ~left & (pose != pose[first]).any(axis=1) & values.any(axis=1)
+    if (count := int(slow.sum())) > SEVERAL and pdtrc(count - 1, SEVERAL * _together(differs[~left])) < CHANCE:
+        add(Gap(-1, False, 0.0, np.flatnonzero(slow), len(other) / other.sum()))
     for k in varying:
-        for value, rows in _saturated(values[:, k], air, ~left, fresh):
+        for value, rows in _saturated(values[:, k], air, ~left, other):
             add(Gap(int(k), True, value, rows))
     for k, runs in zip(varying, alone, strict=True):
         rows = _rows(runs, values[:, [k]])
