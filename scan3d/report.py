@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import ROUNDING, Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
 from scan3d.cloud import Cloud
@@ -325,6 +325,9 @@ def _distances(comparison: Comparison) -> dict[str, float]:
     return {"two_sided": comparison.hausdorff, **{name: getattr(comparison, name) for name in names}}
 
 
+_DISTANCE = "distance of the surface from the body"
+
+
 def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> list[dict[str, Any]]:
     """The quantities that are measured of a body by its contacts, enclosure, surface and certificate, each with these entries.
 
@@ -350,6 +353,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     All intervals hold together, under the premises of the certificate.
     """
     unit, probability = cloud.unit, _confidence(cloud, bounds, certified.bound)
+    vertices = np.asarray(surface.vertices)
     allow = _allowed(cloud, bounds)
     factor = None if allow is None else allow.kappa or allow.factor
 
@@ -362,6 +366,9 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
 
     def measured(quantity: str, value: float, low: float, high: float, power: str = "") -> dict[str, Any]:
         known = bool(np.isfinite(high))
+        # where both bodies are the true one the ends differ by the rounding of coordinates
+        rounding = 0.0 if quantity == _DISTANCE else ROUNDING * max(abs(value), float(np.abs(vertices).max()))
+        low, high = max(low - rounding, 0.0), high + rounding
         return {
             "quantity": quantity,
             "of": certified.of,
@@ -376,14 +383,14 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
 
     directions = np.concatenate([np.eye(3), -np.eye(3)])
     lower, upper = bounds.support(directions)
-    size = np.ptp(np.asarray(surface.vertices), axis=0)
+    size = np.ptp(vertices, axis=0)
     least, largest = np.maximum(lower[:3] + lower[3:], 0.0), upper[:3] + upper[3:]
     columns = zip("xyz", size.tolist(), least.tolist(), largest.tolist(), strict=True)
     low, high = bounds.volume
     return [
         *(measured(f"extent along {axis}", *values) for axis, *values in columns),
         measured("volume", float(surface.volume), float(low), float(high), "³"),
-        measured("distance of the surface from the body", 0.0, 0.0, float(certified.bound)),
+        measured(_DISTANCE, 0.0, 0.0, float(certified.bound)),
     ]
 
 
@@ -501,6 +508,12 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if distances:
         unit = distances["unit"]
         yield "Hausdorff distance", _distance(distances, unit) + of_scanned(data, "to")
+        bound = data["certificate"]["bound"]
+        if is_finite(bound) and distances["two_sided"] > bound * (1 + ROUNDING):
+            yield (
+                "refuted",
+                "the true body is farther away than what is certified: it is another one, or in another unit or place",
+            )
         if distances.get("mesh_itself"):
             yield "to the mesh itself", _distance(distances["mesh_itself"], unit)
         if near := distances.get("reached"):
@@ -516,7 +529,8 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         left_out = counts["second_contacts"]
         yield "second contacts", f"{left_out} samples left out, whose rod touched at another place as well"
         if hidden := counts["hidden_second_contacts"]:
-            yield "hidden", f"{hidden} contacts are wrong because a second one stayed hidden"
+            known = "farther from the true body than their errors explain: a second contact stayed hidden, or errors are larger"
+            yield "hidden", f"{hidden} contacts are {known} than stated"
         if off := counts.get("off_surface"):
             wrong = f"{off} contacts lie farther from the surface than contacts are apart: they are wrong, or "
             yield "off the surface", wrong + "on features finer than what was touched; more slices show them"
@@ -582,7 +596,8 @@ def _certified(data: Mapping[str, Any]) -> str:
     unproven, words = counts.get("unproven_slices", 0), "nothing, because no contact bounds the body on some side of it"
     if unproven:
         words += f"; {unproven} slices without contact prove no end, because their sweeps miss places that it may reach"
-    return words + ("; if it stands on a table, state the height by --table" if certified.get("table") is None else "")
+    may_stand = certified.get("table") is None and "slices" not in data["settings"]  # those of a scan
+    return words + ("; if it stands on a table, state the height by --table" if may_stand else "")
 
 
 def _in_a_sentence(data: Mapping[str, Any]) -> str:
@@ -593,7 +608,9 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     if data["warnings"]:
         return f"nothing certified: {_contradicted(data.get('model'))}"
     if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):
-        return touched(coverage, certified["unit"])
+        off = data["counts"].get("off_surface")
+        missing = f"; {off} contacts lie off this surface, which may lack parts of the body" if off else ""
+        return touched(coverage, certified["unit"]) + missing
     if is_finite(certified["bound"]):
         body = of_scanned(data) or " of the body"
         return f"{_within(certified)}{body}, certified from touch{_with_confidence(certified)}"

@@ -215,7 +215,7 @@ def unit_for(largest: float, unit: str) -> tuple[str, Decimal]:
 
 def volume(value: float, low: float, high: float, unit: str) -> str:
     """A volume, given in `unit` cubed, with an interval that contains that of the body: ``13,190 ± 4 mm³``."""
-    symbol, size = unit_for(abs(value) ** (1 / 3), unit)
+    symbol, size = unit_for(2 * abs(value) ** (1 / 3), unit)  # not 0.5 mm³ in µm³
     factor = (Decimal(str(UNITS_M[unit])) / size) ** 3
     return f"{plus_minus(*(float(factor * _decimal(part)) for part in (value, low, high)))} {symbol}³"
 

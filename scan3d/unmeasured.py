@@ -94,7 +94,7 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
 
     rows = _rows(stopped, values[:, varying])
     add(Gap(-1, False, float("nan") if values[rows].any() else 0.0, rows))
-    other = differs.any(axis=1)
+    other: Mask = np.asarray(differs.any(axis=1))
     first = np.flatnonzero(other)[np.cumsum(other) - 1]
     # a simulation shows zeros in the air
     slow = ~left & (pose != pose[first]).any(axis=1) & values.any(axis=1)

@@ -350,6 +350,17 @@ def test_stretches_in_the_air_can_be_given(tmp_path, longer):
     assert np.abs(six(found.recording) - six(longer)[rows]).max() < 1e-12
 
 
+def test_rows_that_stand_twice_count_once(tmp_path, planar):
+    log, data = track(planar), map_of(planar.rod, EXACT)
+    columns = table(log, EXACT)
+    once = imported(tmp_path / "once.csv", columns, data)
+    twice = imported(tmp_path / "twice.csv", {name: np.repeat(column, 2) for name, column in columns.items()}, data)
+    assert np.array_equal(six(twice.recording), six(once.recording))
+    assert twice.summary.rate_hz == pytest.approx(once.summary.rate_hz)
+    assert twice.summary.left_out["repeated"] == len(log.row)
+    assert f"{len(log.row):,} rows stand twice" in twice.summary.notes[0]
+
+
 def test_a_tared_table_without_time_is_taken_as_it_is(tmp_path, planar):
     rig = Rig((0, 0, 0), (0, 0, 0), bias=0.0, drift=0.0)
     log = track(planar)

@@ -187,6 +187,10 @@ def test_the_command_writes_poses_without_a_mesh(tmp_path, capsys):
     assert data["sweeps"] == len(poses.sweeps()) == 16
     assert data["rows"] == len(poses)
     assert data["largest_force_N"] == pytest.approx(2 * poses.rod.force_unit_N / 0.3**2)
+    # probings have planes and lines of their own
+    for option in ("--slices", "--sweeps", "--samples"):
+        assert main(["plan", "--around", "sphere:50", "--out", str(out), "--probing", option, "5"]) == 2
+        assert "leave --slices, --sweeps and --samples out" in capsys.readouterr().err
     # its own files are replaced
     assert main(["plan", "--around", "sphere:50", "--out", str(out), "--slices", "3", "--quiet"]) == 0
     assert read_poses(out).source["around"] == "sphere:50"

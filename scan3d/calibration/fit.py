@@ -688,7 +688,8 @@ def measured(
     if len(rows) < FEWEST:
         raise InputError(
             f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs "
-            f"{FEWEST}: touch the {reference.kind} in more sweeps, and bend the rod more"
+            f"{FEWEST}: touch the {reference.kind} in more sweeps, bend the rod more, and let each sweep begin and end with "
+            "rows in the air, which show zero and noise"
         )
     position = recording.position_m[rows] / rod.length_m
     frame = recording.axes()[rows].swapaxes(1, 2)

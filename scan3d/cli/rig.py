@@ -117,6 +117,10 @@ def plan(
     from scan3d.planning.rig import RigPlan, largest_force, parse_envelope, plan_poses
 
     check_poses(out, overwrite)
+    if probing and (slices != 32 or sweeps is not None or limits.samples != Limits().samples):
+        raise UsageError(
+            "a plan of probings chooses planes and lines itself; leave --slices, --sweeps and --samples out"
+        )
     try:
         chosen = RigPlan(
             around=parse_envelope(around),
@@ -183,7 +187,7 @@ def further(
     around
         bounding body, as of plan (default: that of the plan, or of the contacts)
     sweeps
-        about how many sweeps, or places
+        about how many sweeps, or places; of a body that is not convex a plane of probings for every four
     seed
         of the directions of sweeps in space
     """
@@ -248,8 +252,8 @@ def _further_places(
     relative = certificate.relative(cloud.points) if certificate.bound < math.inf else math.inf
     known = np.isfinite(cloud.normals).all(axis=1)
     if not cloud.convex:
-        unknown = sorted((report.get("coverage") or {}).get("unknown", []), key=lambda patch: -patch["area"])
-        places = np.array([patch["center"] for patch in unknown[:count]]).reshape(-1, 3)
+        unknown = (report.get("coverage") or {}).get("unknown", [])[:count]
+        places = np.array([patch["center"] for patch in unknown]).reshape(-1, 3)
         normals = np.full_like(places, np.nan)
     elif relative <= tolerance:
         places = normals = np.empty((0, 3))

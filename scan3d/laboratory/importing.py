@@ -277,9 +277,7 @@ def _converted(table: Table, map: Map) -> Imported:
         table=table.name,
         rows=len(table) + sum(table.left_out.values()),
         seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
-        rate_hz=None
-        if log.time_s is None or clock[-1] == clock[0]
-        else float((len(log) + log.repeated - 1) / (clock[-1] - clock[0])),
+        rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
         samples=len(recording),
         sweeps=sweeps,
         probings=len(np.unique(sweep[kept][probing[kept]])),

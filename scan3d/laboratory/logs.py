@@ -72,6 +72,12 @@ def read_log(table: Table, map: Map) -> Log:
     time = None if columns.time is None else _time(table, map, columns.time)
     pose = np.concatenate([position, orientation], axis=1)
     unmeasured, repeated, notes = _unmeasured(shown, wrench, pose, time)
+    if time is not None:
+        rows = np.column_stack([time, pose, wrench])
+        twice = np.append(False, (rows[1:] == rows[:-1]).all(axis=1))
+        repeated |= twice
+        if twice.any():
+            notes += (f"{int(twice.sum()):,} rows stand twice, with the same time: they are left out",)
     if map.wrench_delay_s:
         wrench = _undelayed(wrench, time, map, table, ~repeated)
         # what is interpolated from a row that was not measured was not either
