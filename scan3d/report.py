@@ -578,7 +578,8 @@ def _certified(data: Mapping[str, Any]) -> str:
         if counts.get("probings"):
             return f"{nothing}; --reach states how fine its features are"
         if data.get("model") == "touches":
-            return nothing
+            exact = not data["noise"]["contact_median"]
+            return nothing + ("; if the touches have errors, state them by --place-sd and --normal-sd" if exact else "")
         contours = certified["contours"]["bound"]
         within = (
             f"outer contours within {length(contours, certified['unit'], up=True)}"

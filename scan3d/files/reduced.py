@@ -40,33 +40,39 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
     if (faces is not None and faces < 4) or (error is not None and not 0 < error < np.inf):
         raise UsageError("a surface is left at least 4 faces, and the error is a length above 0; give others")
     solid = found = _solid(shape.points, shape.faces)
-    size = float(np.linalg.norm(np.ptp(shape.points, axis=0)))
-    low = high = 1e-6 * size
+    size, enough = float(np.linalg.norm(np.ptp(shape.points, axis=0))), None
+    low, high = 0.0, 0.0
 
-    def few(coarser: Any) -> bool:
-        return faces is not None and 0 < coarser.num_tri() <= faces
-
-    def goes_on(coarser: Any) -> bool:
-        """Whether a surface has no more faces than the one found, and could have fewer."""
-        if few(coarser) or not 0 < coarser.num_tri() <= found.num_tri():
+    def goes_on(tolerance: float) -> bool:
+        """Whether a larger tolerance may leave fewer faces, and is wanted; what this one leaves is kept if it is the fewest."""
+        nonlocal found, enough
+        coarser = solid.simplify(tolerance)
+        if coarser.num_tri() <= 0 or (error is not None and _apart(shape, coarser.to_mesh64()) > error):
             return False
-        return error is None or _apart(shape, coarser.to_mesh64()) <= error
+        if faces is not None and coarser.num_tri() <= faces:
+            enough = coarser
+            return False
+        found = min(found, coarser, key=lambda one: one.num_tri())
+        return True
 
-    # larger and larger tolerances; beyond the thickness of walls they leave more faces again, and take long
-    while high < size and goes_on(coarser := solid.simplify(high)):
-        found, low, high = coarser, high, 4 * high
-    enough = coarser if few(coarser) else None
-    for _ in range(8):
+    # larger tolerances do not always leave fewer faces
+    for high in size * 2.0 ** np.arange(-20, 1):
+        if not goes_on(high):
+            break
+        low = high
+    for _ in range(8 if low else 0):
         middle = np.sqrt(low * high)
-        coarser = solid.simplify(middle)
-        if goes_on(coarser):
-            found, low = coarser, middle
+        if goes_on(middle):
+            low = middle
         else:
-            enough, high = coarser if few(coarser) else enough, middle
+            high = middle
     found = enough or found
     mesh = found.to_mesh64()
     if not len(mesh.tri_verts) or len(mesh.tri_verts) > (faces or len(shape.faces)):
-        raise InputError(f"the surface has no closed form of {faces} faces; ask for more")
+        raise InputError(
+            f"the surface has no closed form of {faces} faces, and the coarsest that was found has {found.num_tri()}; ask for "
+            "as many or more"
+        )
     rows = cKDTree(shape.points).query(mesh.vert_properties[:, :3])[1]
     return replace(shape, rows=shape.rows[rows], faces=mesh.tri_verts.astype(np.int32))
 
