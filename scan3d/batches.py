@@ -47,6 +47,8 @@ _FIGURES = {
     "volume_error": ("comparison", "volume_error"),
     "normals_median_deg": ("comparison", "normal_median_deg"),
     "coverage": ("coverage", "surface"),
+    "surface_known": ("coverage", "known"),
+    "surface_estimated": ("coverage", "estimated"),
 }
 _OF_SETTINGS = (field.name for field in dataclasses.fields(Settings))
 COLUMNS = ("run", "mesh", "mesh_sha256", *_OF_SETTINGS, "status", "error", *_FIGURES, "warnings", "seconds")

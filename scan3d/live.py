@@ -131,6 +131,7 @@ class Live:
         )
         self.state: State = "unknown"
         """What the last row was."""
+        self._time = -np.inf
         self._zero: Array | None = None
         self._filter: tuple[Array, Array] | None = None
         self._rows: list[Recording] = []
@@ -177,7 +178,8 @@ class Live:
             number of the sweep; by default each touch is one, with the rows in the air in its plane before and after it, and
             rows in the air between two planes are not kept.
 
-        Raises InputError for other shapes, quaternions without unit length, and numbers that no rig has; the row is not kept.
+        Raises InputError for other shapes, quaternions without unit length, times before that of the last row, and numbers that
+        no rig has; the row is not kept.
         """
         if sweep is not None:
             check_whole("sweep", sweep, 0)
@@ -185,9 +187,14 @@ class Live:
         self.state = "unknown"
         if not all(map(np.isfinite, (t, place.sum(), turn.sum(), shown.sum()))):
             return None
+        if t < self._time:
+            raise InputError(
+                f"the time {t:.6g} s is before that of the row before, {self._time:.6g} s; push rows in their order"
+            )
         if (largest := float(np.abs(shown).max())) > LARGEST:
             raise InputError(f"the wrench holds {largest:.3g}; check its unit, which is N and N m")
         check_positions("the row", place[None], self._like.rod.length_m)
+        self._time = t
         if self._zero is None:
             self._wait(t, shown)
             return None

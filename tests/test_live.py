@@ -225,6 +225,7 @@ def test_what_is_no_row_is_refused():
         ({"wrench": [1e300, 0, 0]}, "the wrench holds 1e"),
         ({"position": [1e200, 0, 0]}, "position_m holds 1"),
         ({"t": "noon"}, "a row is made of numbers"),
+        ({"t": -0.1}, "the time -0.1 s is before that of the row before, 0 s"),
         ({"position": "here"}, "a row is made of numbers"),
     ):
         row = {"t": 0.0, "position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "wrench": [0, 0, 0], **wrong}
