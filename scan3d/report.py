@@ -512,7 +512,8 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if is_finite(bound) and distances["two_sided"] > bound * (1 + ROUNDING):
             yield (
                 "refuted",
-                "the true body is farther away than what is certified: it is another one, or in another unit or place",
+                "the true body is farther away than what is certified: it is another one, in another unit or place, or a "
+                "premise does not hold",
             )
         if distances.get("mesh_itself"):
             yield "to the mesh itself", _distance(distances["mesh_itself"], unit)

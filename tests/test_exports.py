@@ -350,6 +350,8 @@ def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_pa
 def test_larger_errors_leave_no_more_faces():
     body = trimesh.creation.torus(12, 4, major_sections=32, minor_sections=16)
     surface = Shape(surface_table(body), body.faces.astype(np.int32), "mm")
+    with pytest.raises(InputError, match=r"no closed form of 4 faces, and the coarsest that was found has \d+;"):
+        decimated(surface, faces=4)
     counts = [len(decimated(surface, error=error).faces) for error in (0.3, 1.0, 10.0, 1e9)]
     assert counts == sorted(counts, reverse=True)
     assert counts[-1] < counts[0] < len(surface.faces)

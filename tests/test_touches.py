@@ -270,6 +270,10 @@ def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsy
     assert places.read_text() == columns + "\n"
     assert main(["next", str(out), "--out", str(places), "--around", "cylinder:9x9"]) == 2
     assert "no clamp" in capsys.readouterr().err
+    np.savetxt(tmp_path / "t.csv", points, "%.17g", ",", header="x,y,z", comments="")
+    assert main(["surface", str(tmp_path / "t.csv"), "--out", str(out), "--quiet", "--overwrite"]) == 0
+    assert main(["next", str(out), "--out", str(places)]) == 1
+    assert "has 0 touches with normals" in capsys.readouterr().err
 
 
 def test_next_names_what_touches_of_a_body_that_is_not_convex_leave_unknown(tmp_path):

@@ -55,7 +55,7 @@ class Log:
     unmeasured: Mask
     """(n,) rows whose wrench or pose was not measured."""
     repeated: int
-    """Rows of the table that are not among these, because the sensor is slower than the table."""
+    """Rows of the table that are not among these: they stand twice, or the sensor is slower than the table."""
     notes: tuple[str, ...]
     """Which ones these are, and which poses were interpolated."""
 
