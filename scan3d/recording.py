@@ -33,6 +33,8 @@ from scan3d.units import UNITS_M
 
 # Numbers, at least, that show a grid or their digits.
 _FEWEST = 20
+# That numbers which lie on no grid are taken for such.
+_CHANCE = 1e-9
 # Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
 # are taken for those of a plan, which are round but exact.
 _FINE = 1e-4
@@ -219,7 +221,7 @@ class Recording(Shown):
         forces, moments = [*self.force_N.T], [self.moment_Nm]
         if self.six_axis:
             forces, moments = (list(columns.T) for columns in self.wrench())
-        force, moment = (max(rounding_sd(column) for column in columns) for columns in (forces, moments))
+        force, moment = (max(rounding_sd(column, measured=True) for column in columns) for columns in (forces, moments))
         length = self.rod.length_m
         position, turn = rounding_sd(self.position_m.ravel()), 2 * rounding_sd(self.quaternion.ravel())
         size = float(np.linalg.norm(np.ptp(self.position_m, axis=0))) + length
@@ -325,8 +327,12 @@ def _directions(normals: Array) -> str:
     return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:most]) + rest
 
 
-def rounding_sd(values: Array) -> float:
-    """Standard deviation of the rounding of numbers (n,), by the step at the largest of them; 0 for full precision."""
+def rounding_sd(values: Array, measured: bool = False) -> float:
+    """Standard deviation of the rounding of numbers (n,), by the step at the largest of them; 0 for full precision.
+
+    measured
+        that they are a sensor's, of which few show its steps.  Few numbers that somebody chose may all be multiples of 5.
+    """
     nonzero = values[values != 0]
     if len(nonzero) < 2:
         return 0.0
@@ -334,7 +340,7 @@ def rounding_sd(values: Array) -> float:
     with np.errstate(over="ignore", under="ignore"):
         single = bool((values.astype(np.float32) == values).all())
     binary = float(np.spacing(np.float32(largest))) if single else 0.0
-    step = max(_decimal_step(nonzero, largest, single), binary, _grid_step(values))
+    step = max(_decimal_step(nonzero, largest, single), binary, _grid_step(values, 2 if measured else _FEWEST))
     # numbers of full precision are multiples of their last place
     return step / float(np.sqrt(12)) if step > largest * 10.0**-15 else 0.0
 
@@ -369,12 +375,14 @@ def _decimal_step(values: Array, largest: float, single: bool) -> float:
     return float(10.0 ** max(steps))
 
 
-def _grid_step(values: Array) -> float:
-    """The step of the grid on which all numbers lie; 0 if they do not lie on one."""
+def _grid_step(values: Array, fewest: int) -> float:
+    """The step of the grid on which all numbers lie; 0 if they do not lie on one, or are fewer than `fewest` different ones."""
     distinct = np.unique(values)
-    if len(distinct) < _FEWEST:
+    if len(distinct) < fewest:
         return 0.0
     gaps, largest = np.diff(distinct), float(np.abs(distinct).max())
+    # what is symmetric repeats its numbers with the other sign
+    independent = 1 + int((np.diff(np.unique(np.abs(distinct))) > 1e-12 * largest).sum())
     distances = np.sort(np.abs(distinct - distinct[gaps.argmin()]))[1:]
     smallest = np.sort(gaps)[:3].tolist()
     # the smallest gap, or the common divisor of two, may be a few steps; of numbers with few digits, or all
@@ -382,13 +390,16 @@ def _grid_step(values: Array) -> float:
     divisors += [
         _divisor(*pair, rounding * largest) for rounding in (1e-9, 1e-11, 1e-13) for pair in combinations(smallest, 2)
     ]
-    for candidate in (divisor / part for divisor in divisors for part in range(1, 13)):
+    candidates = [divisor / part for divisor in divisors for part in range(1, 13)]
+    for candidate in candidates:
         if candidate <= 1e-13 * largest:
             continue
-        step = _refined(distances, candidate)
+        step, fitted = _refined(distances, candidate)
         multiples = distances / step
-        # which allows for few digits
-        if (np.abs(multiples - np.round(multiples)) <= 0.02).all():
+        off = float(np.abs(multiples - np.round(multiples)).max())
+        # which allows for few digits; numbers on no grid come as near to one by chance
+        chance = len(candidates) * (2 * off) ** max(independent - 1 - fitted, 0)
+        if off <= 0.02 and chance < _CHANCE:
             return step
     return 0.0
 
@@ -400,14 +411,15 @@ def _divisor(one: float, other: float, rounding: float) -> float:
     return one if one > 20 * rounding else 0.0
 
 
-def _refined(distances: Array, step: float) -> float:
-    """The step of which all distances (n,), increasing, are multiples if there is one, from its first estimate."""
-    k = 0
+def _refined(distances: Array, step: float) -> tuple[float, int]:
+    """The step of which all distances (n,), increasing, are multiples if there is one, from its first estimate; and by how many
+    of them it was found."""
+    k, fitted = 0, 1
     # no distance is many times the one before: digits that are missing do not make the number of steps in it uncertain
     while k < len(distances) - 1:
         k = max(k + 1, int(np.searchsorted(distances, 8 * distances[k], side="right")) - 1)
-        step = float(distances[k] / max(np.round(distances[k] / step), 1.0))
-    return step
+        step, fitted = float(distances[k] / max(np.round(distances[k] / step), 1.0)), fitted + 1
+    return step, fitted
 
 
 def together(stated: float, rounding: float) -> float:

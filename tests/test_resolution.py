@@ -58,6 +58,19 @@ def test_steps_of_a_converter(values, step):
     assert rounding_sd(few) == pytest.approx(3 * step / 12**0.5)
 
 
+def test_few_numbers_of_a_converter_show_its_steps(values):
+    """Eight numbers of a channel of 12 bits, in 204 rows, were taken for exact ones: a right recording contradicted itself."""
+    step = 2.0**-11 * np.pi
+    few = step * np.array([-2048, -747, 0, 496, 1181, 1434, 1773, 2010])
+    assert rounding_sd(few, measured=True) == pytest.approx(step / 12**0.5)
+    assert rounding_sd(few) == 0  # of what somebody chose, few numbers may all be multiples of 5
+    for some in range(2, 20):  # those that are on no grid, and such that are symmetric, or differ by rounding
+        exact = values[:some]
+        assert rounding_sd(exact, measured=True) == 0
+        assert rounding_sd(np.concatenate([exact, -exact, [0.0]]), measured=True) == 0
+        assert rounding_sd(np.concatenate([exact, exact * (1 + 1e-15)]), measured=True) == 0
+
+
 def test_full_precision_and_empty_columns_have_no_rounding(values):
     assert rounding_sd(values) == 0
     assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers

@@ -486,7 +486,9 @@ def _rounding(wrench: Array) -> Array:
 
     Without noise, a drift at even times lies on a grid as well.
     """
-    return np.array([rounding_sd(column) if 2 * len(np.unique(column)) < len(column) else 0.0 for column in wrench.T])
+    return np.array(
+        [rounding_sd(column, measured=True) if 2 * len(np.unique(column)) < len(column) else 0.0 for column in wrench.T]
+    )
 
 
 def _with_steps(recording: Recording, rounding: tuple[float, float]) -> Recording:

@@ -243,7 +243,9 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     """
     in_length, in_force, in_moment = sweep.units
     columns = (sweep.f0x, sweep.f0y, sweep.m0z)
-    rounding = [0.0 if column is None else rounding_sd(column[np.isfinite(column)]) for column in columns]
+    rounding = [
+        0.0 if column is None else rounding_sd(column[np.isfinite(column)], measured=True) for column in columns
+    ]
     force = together(sweep.noise_force, max(rounding[:2])) / in_force
     moment = together(sweep.noise_moment, rounding[2]) / in_moment
     units = (in_force, in_force, in_moment)

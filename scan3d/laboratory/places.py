@@ -48,7 +48,7 @@ def calibrate_signals(log: str | Path, places: str | Path, map: str | Path | Non
     rows, rod = _rows(table, where, time), read_rod(top.section("rod"))
     mean = np.array([values[row].mean(axis=0) for row in rows])
     spread = np.concatenate([values[row] - middle for row, middle in zip(rows, mean, strict=True)])
-    rounding = np.array([rounding_sd(column) for column in values.T])
+    rounding = np.array([rounding_sd(column, measured=True) for column in values.T])
     if still := [name for name, column in zip(names, mean.T, strict=True) if len(mean) > 1 and not np.ptp(column)]:
         raise InputError(
             f"{table.name}: {', '.join(still)} is the same in all touches; check the signal, or leave it out"
