@@ -530,10 +530,10 @@ class Ellipse(SmoothContour):
     angle: float = 0.0
 
     def __post_init__(self) -> None:
-        a, b = self.semi_axes
-        if not (np.isfinite([a, b, *self.center, self.angle]).all() and a > 0 and b > 0):
+        pairs = np.shape(self.semi_axes) == np.shape(self.center) == (2,) and np.ndim(self.angle) == 0
+        if not (pairs and np.isfinite([*self.semi_axes, *self.center, self.angle]).all() and min(self.semi_axes) > 0):
             raise ValueError(
-                f"an ellipse needs finite numbers and positive semi-axes, got semi_axes={self.semi_axes}, "
+                f"an ellipse needs two positive semi-axes, a center and an angle, all finite, got semi_axes={self.semi_axes}, "
                 f"center={self.center}, angle={self.angle}"
             )
 

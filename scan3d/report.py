@@ -250,8 +250,8 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     bound, bounds, cloud, recording = analysis.certificate.bound, analysis.bounds, analysis.cloud, analysis.recording
     is_real = recording is not None and recording.source.get("kind") != "simulation"
     grown = (  # what contacts and bounds are those of, in the place of the body
-        "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
-        "of an import or in the TOML file of the recording"
+        "the body grown by the rod's radius, which counts as 0: if it is not, state diameter_m under [rod], in the map of an "
+        "import or in the TOML file of the recording"
     )
     reached, why = analysis.reach, analysis.surface.metadata["reason"]
     if analysis.has_surface:

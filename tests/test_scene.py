@@ -14,8 +14,9 @@ from spatial_scans import SEMI_AXES
 
 import planar
 import scan3d
-from scan3d import results
+from scan3d import pipeline, results
 from scan3d.cli import main, show
+from scan3d.geometry.distance import distances
 from scan3d.pictures import parts
 from scan3d.pictures.parts import (
     contact_paths,
@@ -141,6 +142,25 @@ def test_slices_are_closed_lines_through_their_contacts(egg):
         # in order: the egg's slices are circles, and a polygon in any other order is far longer
         length = np.linalg.norm(np.diff(outline, axis=0), axis=1).sum()
         assert length <= np.pi * np.ptp(outline[:, 0]) * 1.05
+
+
+def test_a_hollow_body_is_cut_by_its_slices_and_seen_from_the_side_of_its_pictures():
+    """Contacts ordered around a slice went to and fro between walls, and those of all probings were one line."""
+    mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=16, known=0.5))
+    found = pipeline.analyse(recording)
+    scene = of_cloud(found.cloud, surface=found.surface, recording=recording)
+    slices = scene.column("slice")
+    assert (slices < 0).any()
+    of_slice = dict.fromkeys(slices[slices >= 0], 0)
+    for line, number in outlines(scene):
+        of_slice[number] += 1
+        assert np.array_equal(line[0], line[-1])
+        assert np.abs(distances(line, scene.surface)).max() < 1e-9 * scene.diagonal
+        assert np.ptp(line[:, 2]) < 1e-9
+    assert max(of_slice.values()) == 2  # a ring has an inner and an outer wall
+    sweep = shown_sweep(scene)
+    assert (sweep.contact.mean(axis=0) - scene.points.mean(axis=0)) @ parts.DIRECTION > 0
 
 
 def test_paths_of_contacts_are_broken_where_the_rod_leaves_the_body(ellipsoid):

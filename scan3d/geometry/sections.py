@@ -80,15 +80,25 @@ def slice_outlines(mesh: trimesh.Trimesh, rotation: Array, heights: Array) -> li
     counter-clockwise; none where the plane misses the body.  Holes, and what lies in them, are left out.  Vertices in the plane
     count as above it, so that the section by a plane that contains faces is the one just below.
     """
+    origin, size = rotation @ mesh.bounds.mean(axis=0), float(np.linalg.norm(mesh.extents))
+    return [
+        [line + origin[:2] for line in _outer_outlines(lines, size)] for lines in _about_middle(mesh, rotation, heights)
+    ]
+
+
+def section_lines(mesh: trimesh.Trimesh, rotation: Array, heights: Array) -> list[list[Array]]:
+    """All closed lines (m, 2) of plane sections as those of `slice_outlines`, with the body on their left."""
+    middle = (rotation @ mesh.bounds.mean(axis=0))[:2]
+    return [[line + middle for line in lines] for lines in _about_middle(mesh, rotation, heights)]
+
+
+def _about_middle(mesh: trimesh.Trimesh, rotation: Array, heights: Array) -> list[list[Array]]:
+    """The closed lines (m, 2) of plane sections, about the middle of the bounding box."""
     center = mesh.bounds.mean(axis=0)
-    origin = rotation @ center
     points, faces = (mesh.vertices.view(np.ndarray) - center) @ rotation.T, mesh.faces.view(np.ndarray)
     order = np.argsort(heights)
-    levels = heights[order] - origin[2]
-    outlines: list[list[Array]] = [[] for _ in heights]
-    for i, lines in zip(order, _closed_lines(points, faces, levels), strict=True):
-        outlines[i] = [line + origin[:2] for line in _outer_outlines(lines, float(np.linalg.norm(mesh.extents)))]
-    return outlines
+    lines = _closed_lines(points, faces, heights[order] - (rotation @ center)[2])
+    return [lines[k] for k in np.argsort(order)]
 
 
 def _closed_lines(points: Array, faces: Index, levels: Array) -> list[list[Array]]:

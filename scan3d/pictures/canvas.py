@@ -22,7 +22,7 @@ from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import parts
-from scan3d.pictures.parts import Scene, contact_sentence
+from scan3d.pictures.parts import DIRECTION, Scene, contact_sentence
 from scan3d.workers import python
 
 # Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
@@ -109,8 +109,6 @@ def need_renderer(trial: Callable[[], bool] | None = None) -> None:
         raise NoRendererError(NO_RENDERER)
 
 
-# Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
-DIRECTION = (1.0, -1.3, 0.8)
 # Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
 CONTACT_SIZE = 7
 # Edges are moved toward the camera by this fraction of the size, lines by twice as much, and the body behind contacts away from

@@ -20,6 +20,7 @@ from scan3d.errors import InputError
 from scan3d.files.shapes import cloud_table, scale_lengths
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import HULL_OF_MESH
+from scan3d.geometry.sections import section_lines
 from scan3d.recording import Recording
 from scan3d.spatial import inverse, march
 from scan3d.units import UNITS_M, angle, force, lengths, number, unit_for
@@ -310,16 +311,17 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
     if view != "bound":
         return mesh, shades[0] if shades else None
     if scene.bound is None or not np.isfinite(scene.bound).any():
-        is_hollow = "known" in scene.surface.vertex_attributes
         why = (
             "it is not convex, and the view surface shows what of it is known"
-            if is_hollow
+            if is_hollow(scene)
             else "give a scan's folder, its surface.ply or a recording that certifies one"
         )
         raise InputError(f"the bound at the surface of {scene.name} is not known: {why}")
     return mesh, shades[-1]
 
 
+# Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
+DIRECTION = (1.0, -1.3, 0.8)
 # From a sweep toward the camera, along the clamp's axes: rods hide little of the body and do not hide each other.
 SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 
@@ -395,19 +397,34 @@ def area_of_vertices(mesh: Any) -> Array:
     return np.bincount(faces.ravel(), np.repeat(mesh.area_faces / 3, 3), len(mesh.vertices)).astype(np.float64)
 
 
+def is_hollow(scene: Scene) -> bool:
+    """Whether the scene has the surface of a body that is not convex."""
+    return scene.surface is not None and "known" in scene.surface.vertex_attributes
+
+
 def outlines(scene: Scene) -> list[tuple[Array, int]]:
-    """The slices as closed lines (k, 3) through their contacts, in order around the slice, with the slices' numbers."""
+    """The slices as closed lines (k, 3) through their contacts, in order around the slice, with the slices' numbers.
+
+    Of a body that is not convex, where contacts have no such order, the lines in which the slices' planes cut the surface.
+    """
     slices = scene.column("slice")
     if slices is None:
         return []
     lines, contacts = [], scene.points
     for of, rows in zip(*_rows_of_each(slices), strict=True):
         points = contacts[rows]
-        if len(points) < 2:
+        if len(points) < 2 or of < 0:  # probings lie in no slice
             continue
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         # the plane of the slice: the two main directions of its contacts
         plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
+        if is_hollow(scene):
+            frame = np.vstack([plane, np.cross(*plane)])
+            height = frame[2] @ middle
+            for line in section_lines(scene.surface, frame, np.array([height]))[0]:
+                line = np.column_stack([line, np.full(len(line), height)]) @ frame
+                lines.append((np.concatenate([line, line[:1]]), int(of)))
+            continue
         u, v = plane @ (points - middle).T
         # ordered by the angle about the middle, in coordinates scaled so that a thin contour becomes as wide as it is long
         contour = points[np.argsort(np.arctan2(v / (np.ptp(v) or 1.0), u / (np.ptp(u) or 1.0)), kind="stable")]
@@ -592,12 +609,19 @@ def recovered(scene: Scene) -> NDArray[np.bool_]:
 
 
 def most_informative_sweep(scene: Scene) -> int:
-    """The sweep whose contacts extend farthest; of those that extend nearly as far, that nearest to the middle of the body."""
+    """The sweep whose contacts extend farthest; of those that extend nearly as far, that nearest to the middle of the body.
+
+    Of a body that is not convex, of which a view from behind hides most, one on the side that its pictures show.
+    """
     sweeps, points = scene.column("sweep"), scene.points
     assert sweeps is not None
     numbers, rows = _rows_of_each(sweeps)
     extent = np.array([np.linalg.norm(np.ptp(points[of_sweep], axis=0)) for of_sweep in rows])
-    distance = np.linalg.norm([points[of_sweep].mean(axis=0) for of_sweep in rows] - points.mean(axis=0), axis=1)
+    middle = [points[of_sweep].mean(axis=0) for of_sweep in rows] - points.mean(axis=0)
+    distance = np.linalg.norm(middle, axis=1)
+    if is_hollow(scene):
+        nearness = middle @ np.array(DIRECTION)
+        extent[nearness < 0.7 * nearness.max()] = 0.0
     distance[extent < 0.95 * extent.max()] = np.inf
     # rounded, because in a symmetric body rounding would choose among equals
     return int(numbers[np.argmin(np.round(distance / (scene.diagonal or 1.0), 6))])

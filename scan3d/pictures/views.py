@@ -20,9 +20,9 @@ from scan3d.choices import CHARTS, VIEWS, one_of
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
-from scan3d.pictures.canvas import DIRECTION, Canvas, need_renderer
+from scan3d.pictures.canvas import Canvas, need_renderer
 from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
-from scan3d.pictures.parts import BODY, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
+from scan3d.pictures.parts import BODY, DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
 def _sweep_canvas(scene: Scene, sweep: parts.ShownSweep, sheet: Sheet) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
     x, _, z = sweep.axes
-    rod_points = np.concatenate([sweep.rest[:, -1], sweep.base, sweep.contact])
+    rod_points = sweep.rods.reshape(-1, 3)
     margin = np.array([0.12, -0.12])  # its arrow is clear of the clamps
     base_line = sweep.base[[0, -1]] + np.outer(margin, np.linalg.norm(sweep.base[0] - sweep.base[-1]) * x)
     body = scene.truth if scene.truth is not None else scene.surface

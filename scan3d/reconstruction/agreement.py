@@ -152,9 +152,10 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         code, unit, cause = _CAUSES[first.code]
         diagnosis = Diagnosis(code, first.value, unit, f"most likely {cause.format(first.message)}", 1.0)
     if left is not None and left.too_many:
+        many = f"more than {share(LARGEST_SHARE)}" if left.share > LARGEST_SHARE else "many that follow each other"
         text = (
-            f"{share(left.share)} of the rows with a force contradict their neighbours by more than the stated noise: more "
-            f"than {share(LARGEST_SHARE)}, or many that follow each other, are no wild rows that may be left out"
+            f"{share(left.share)} of the rows with a force contradict their neighbours by more than the stated noise: {many} "
+            "are no wild rows that may be left out"
         )
         found.append(Contradiction("wild-rows", text, left.share))
     relative = 0.0 if cloud.calibration is None else cloud.calibration.relative

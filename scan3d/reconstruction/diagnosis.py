@@ -209,7 +209,7 @@ def _sized(
     starts: Array,
     undone: Callable[[float], Undone],
     scale: float = 1.0,
-    told: Callable[[float], str] = "{:.3g}".format,
+    told: Callable[[float], str] = "{:.4g}".format,
     limit: float = _LARGEST_SCALE,
     family: str = "",
 ) -> Cause:

@@ -154,7 +154,7 @@ def simulate_rig(
     nominal, model = rod or poses.rod, model or poses.model
     if nominal is None:
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")
-    convex = is_convex(mesh)
+    convex, planned = is_convex(mesh), nominal
     if (poses.move == Move.SWEEP).any() and model == "spatial":
         check_convex(mesh, "a body that a simulated rig sweeps in space")
     if (model == "planar" and nominal.tapered) or not convex:  # as in scans of meshes
@@ -201,6 +201,9 @@ def simulate_rig(
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
     warnings = _warnings(around, poses, reactions, length, radius, metres)
+    if nominal != planned:
+        words = "taper" if model == "planar" and planned.tapered else "body that is not convex"
+        warnings += (f"the simulated rod has no thickness, because of the {words}; leave its diameter at 0 in the map",)
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
     if not convex:
         source["convex"] = False

@@ -117,9 +117,6 @@ def simulate_judged(mesh: Any, plan: Plan) -> Recording:
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan)
-    for setting, given in (("axis free", plan.is_free), ("a tolerance", plan.tolerance)):
-        if given and plan.spacing != "adaptive":
-            raise InputError(f"{setting} needs adaptive spacing, got spacing {plan.spacing!r}; leave one of them out")
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     if along:
