@@ -162,3 +162,13 @@ def test_sweeps_alone_have_no_probings(tmp_path):
         found = imported(tmp_path, columns_of("sweeps"), map_of(*told))
         assert found.summary.probings == 0
         assert not found.recording.in_probings.any()
+
+
+def test_probings_that_touch_nothing_need_their_moves(tmp_path):
+    """Of such a log it was said that all would be right with another orientation, in which nothing is touched either."""
+    columns, rng = columns_of("probings"), np.random.default_rng(0)
+    columns |= {name: 1e-6 * rng.standard_normal(len(values)) for name, values in columns.items() if name[0] in "FT"}
+    with pytest.raises(InputError, match="name the column of the moves") as refused:
+        imported(tmp_path, columns, map_of())
+    assert "all would be right" not in str(refused.value)
+    assert imported(tmp_path, columns, map_of("move")).summary.probings > 100

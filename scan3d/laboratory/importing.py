@@ -691,7 +691,8 @@ def _better_reading(table: Table, map: Map, least: float) -> str:
     """Words for another reading of the orientation with which sweeps hold at least this part of the contacts, or ""."""
     for words, other in _other_readings(map):
         with contextlib.suppress(InputError):
-            if _held(_converted(table, other)) >= least:
+            imported = _converted(table, other)
+            if imported.summary.sweeps_with_contact and _held(imported) >= least:
                 return words
     return ""
 

@@ -630,6 +630,8 @@ def check_directions(
     )
     if axis == "+x":
         advice += '; strokes in both directions are taken by directions = "both" under [sweeps]'
+    if axis == "+y" and not touched.any():
+        advice = f"name the column of the moves if these are probings, of which none touches anything; else {advice}"
     way = "in no straight stroke" if axis == "-x" else f"mostly along {axis} of its own frame, and not"
     raise DirectionError(
         f"{where}: the clamp moves {'in contact ' if elsewhere else ''}{way} along -x as in a sweep; in {map.name} {advice}"
