@@ -280,14 +280,16 @@ class Cloud(Shown, Exported):
         tips = int((self.phase == planar.Phase.TIP).sum())
         friction = self.friction[np.isfinite(self.friction)]
         size, unit = lengths(np.ptp(self.points, axis=0) if len(self) else np.zeros(3), self.unit)
-        slices = ("slices", f"{len(np.unique(self.slice))} with contacts of {len(self.slice_height)}")
+        swept = np.ones(len(self), dtype=bool) if self.probed is None else ~self.probed
+        slices = ("slices", f"{len(np.unique(self.slice[swept]))} with contacts of {len(self.slice_height)}")
+        probings = "" if swept.all() else f" and {(~swept).sum()} probings"
         in_space = ("model", "spatial: the rod may leave the plane of its sweep")
         rows: Rows = [("touches", f"{len(self)} of another probe")]
         if self.model != "touches":
             rows = [
                 ("contacts", f"{len(self)}: {len(self) - tips} tangential, {tips} at the tip"),
                 slices if self.in_slices else in_space,
-                ("sweeps", str(len(np.unique(self.sweep)))),
+                ("sweeps", f"{len(np.unique(self.sweep[swept]))}{probings}"),
             ]
         rows += [
             ("size", f"{' × '.join(size)} {unit}"),

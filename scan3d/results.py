@@ -359,6 +359,10 @@ class Result(Shown):
                     f"scan3d {(self.report.get('versions') or {}).get('scan3d', 'of another version')}; run the scan "
                     "again"
                 )
+        if rows is not None and cloud.probed is not None:  # whose normals are those of the surface
+            normals = np.where(cloud.probed[:, None], columns(rows, "nx", "ny", "nz"), cloud.normals)
+            source = np.where(cloud.probed, rows["normal_source"], cloud.normal_source).astype(np.int8)
+            return replace(cloud, normals=normals, normal_source=source)
         return cloud
 
     @cached_property

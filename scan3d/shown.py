@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 # that of `typing`, whose import takes longer than that of this module, which `import scan3d` needs
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -28,9 +30,9 @@ def register(**loaders: Callable[[], Any]) -> None:
 
 
 def described(title: str, rows: Rows) -> str:
-    """A table as text: the title, and below it a line of at most 120 characters for each row."""
+    """A table as text: the title, and below it each row in lines of at most 120 characters."""
     lines = [title, *(f"  {name:21} {value}" for name, value in rows)]
-    return "\n".join(line if len(line) <= 120 else f"{line[:117]}..." for line in lines)
+    return "\n".join(textwrap.fill(line, 120, subsequent_indent=24 * " ", break_on_hyphens=False) for line in lines)
 
 
 class Described:

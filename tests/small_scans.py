@@ -4,6 +4,7 @@ import functools
 from unittest import mock
 
 import numpy as np
+import trimesh
 from rigs import FAULTS
 from sample_bodies import MESHES
 from spatial_scans import recorded
@@ -13,6 +14,7 @@ from scan3d.cli import main
 from scan3d.geometry.distance import distances
 from scan3d.pictures import canvas
 from scan3d.pictures.parts import of_cloud
+from scan3d.pipeline import analyse
 from scan3d.surfaces import certificate, enclosure, surface
 from tests.rig_errors import six_axis
 
@@ -49,6 +51,15 @@ def scanned(path, **plan):
             ("size", "40 mm"),
         ),
     )
+
+
+@functools.cache
+def ring():
+    """The scene of a torus, swept in 6 slices and probed until half of it is known."""
+    mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=16, known=0.5))
+    found = analyse(recording)
+    return of_cloud(found.cloud, name="ring", surface=found.surface, recording=recording)
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
-from small_scans import EGG, scanned, scanned_in_space
+from small_scans import EGG, ring, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures import canvas, views
@@ -21,7 +21,7 @@ def images(path):
 
 @pytest.mark.slow
 @pytest.mark.rendering
-@pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
+@pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space, ring], ids=["planar", "spatial", "hollow"])
 def test_growth(make, tmp_path):
     # the rod is seen in every frame, and not without a recording
     views.movie(make(), tmp_path / "rod.gif", frames=2)

@@ -423,3 +423,18 @@ def test_a_sweep_of_poses_is_either_swept_or_probed():
     move[np.flatnonzero(move == Move.PROBE)[0]] = Move.SWEEP
     with pytest.raises(scan3d.InputError, match="of another move than the sweep"):
         replace(poses, move=move)
+
+
+@pytest.mark.slow
+def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path):
+    """They were unknown in the cloud of an opened folder, and probings were counted as sweeps in a slice of their own."""
+    mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
+    made = scan3d.scan(mesh, slices=6, samples=16, known=0.5)
+    made.save(tmp_path / "ring")
+    found, made = scan3d.open(tmp_path / "ring").cloud, made.cloud
+    assert np.isfinite(made.normals[made.probed]).all()
+    assert np.array_equal(found.normal_source, made.normal_source)
+    assert found.normals == pytest.approx(made.normals, abs=1e-6, nan_ok=True)
+    counts = dict(found.summary())
+    assert counts["sweeps"] == f"{len(np.unique(made.sweep[~made.probed]))} and {made.probed.sum()} probings"
+    assert int(counts["slices"].split()[0]) == len(np.unique(made.slice[~made.probed]))

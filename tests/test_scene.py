@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from shapes import unit
-from small_scans import CUBE, EGG, any_rod, any_rod_in_space, scanned, scanned_in_space
+from small_scans import CUBE, EGG, any_rod, any_rod_in_space, ring, scanned, scanned_in_space
 from spatial_scans import SEMI_AXES
 
 import planar
 import scan3d
-from scan3d import pipeline, results
+from scan3d import results
 from scan3d.cli import main, show
 from scan3d.geometry.distance import distances
 from scan3d.pictures import parts
@@ -146,10 +146,7 @@ def test_slices_are_closed_lines_through_their_contacts(egg):
 
 def test_a_hollow_body_is_cut_by_its_slices_and_seen_from_the_side_of_its_pictures():
     """Contacts ordered around a slice went to and fro between walls, and those of all probings were one line."""
-    mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=16, known=0.5))
-    found = pipeline.analyse(recording)
-    scene = of_cloud(found.cloud, surface=found.surface, recording=recording)
+    scene = ring()
     slices = scene.column("slice")
     assert (slices < 0).any()
     of_slice = dict.fromkeys(slices[slices >= 0], 0)

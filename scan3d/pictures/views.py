@@ -9,20 +9,21 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import planar
-from scan3d.arrays import Array, evenly, weighted_quantiles
+from scan3d.arrays import Array, Index, evenly, weighted_quantiles
 from scan3d.choices import CHARTS, VIEWS, one_of
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
 from scan3d.pictures.canvas import Canvas, need_renderer
 from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
-from scan3d.pictures.parts import BODY, DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
+from scan3d.pictures.parts import DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
 
 if TYPE_CHECKING:
@@ -427,8 +428,9 @@ def movie(scene: Scene, path: str | Path, frames: int = 8 * _PER_SECOND) -> None
     path = check_path(path, MOVIES, "movie")
     with own_style():
         images = [Pillow.fromarray(image) for image in _frames_of_movie(scene.in_shown_unit(), frames)]
-    # the last frame has all the colours; 128 show no steps in the shading
-    palette = images[-1].quantize(128, dither=Pillow.Dither.NONE)
+    # the colours of thin rods, which cover little, count as well
+    some = Pillow.fromarray(np.vstack([np.asarray(image) for image in images[:: max(1, len(images) // 6)]]))
+    palette = some.quantize(256, Pillow.Quantize.MAXCOVERAGE, dither=Pillow.Dither.NONE)
     colors = np.array(palette.getpalette()).reshape(-1, 3)
     colors[(colors >= 245).all(axis=1)] = 255  # paper is not grey
     palette.putpalette(colors.ravel().tolist())
@@ -438,49 +440,107 @@ def movie(scene: Scene, path: str | Path, frames: int = 8 * _PER_SECOND) -> None
     first.save(path, save_all=True, append_images=rest, duration=times, loop=0, optimize=False, comment=MARK)
 
 
+class _Stage(NamedTuple):
+    """What a frame of a movie shows."""
+
+    contacts: Index
+    """(c,) row of each contact so far"""
+    body: Any
+    """None where the contacts span none yet"""
+    color: Any
+    rod: ShownSweep | None
+    sample: int
+    """of the rod's sweep"""
+    caption: str
+
+
 def _frames_of_movie(scene: Scene, frames: int) -> Iterator[Image]:
-    """The hull of the contacts of more and more slices, or sweeps where there are no slices, with a rod along one of them."""
-    name = "sweep" if is_spatial(scene) else "slice"
-    parts = scene.column(name)
-    if parts is None:
-        raise InputError(
-            f"{scene.name} does not say which slices its contacts lie in; show a scan's folder, or a recording"
-        )
+    if parts.is_hollow(scene):
+        stages, middle = list(_by_touches(scene, frames)), scene.points.mean(axis=0)
+        corners = middle + 1.3 * (scene.points - middle)  # room for a part of the rods
+    else:
+        stages = list(_by_slices(scene, frames))
+        corners = np.concatenate([scene.points, *(stage.rod.rods.reshape(-1, 3) for stage in stages if stage.rod)])
     need_renderer()
-    numbers, points = np.unique(parts), scene.points
-    if name == "slice":  # from one end to the other, however they were planned
-        middles = np.array([points[parts == number].mean(axis=0) for number in numbers])
-        numbers = numbers[np.argsort(middles[:, np.ptp(middles, axis=0).argmax()], kind="stable")]
-    order = np.argsort(numbers)
-    place = order[np.searchsorted(numbers, parts, sorter=order)]
-    sweeps = _front_sweeps(scene, numbers, parts) if has_rods(scene) else []
     figure = blank_figure(_SIZE[1], _DPI, _SIZE[0])
-    canvas = Canvas(np.concatenate([points, *(sweep.rods.reshape(-1, 3) for sweep in sweeps)]))
+    canvas = Canvas(corners)
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
     part = 0.92  # of the height, above the caption
     axes = figure.add_axes((0, 1 - part, 1, part))
     width, height = round(_SIZE[0] * _DPI), round(part * _SIZE[1] * _DPI)
-    for done in np.linspace(0, len(numbers), frames + 1)[1:]:
-        k = int(np.ceil(done)) - 1
-        rows = np.flatnonzero(place == k)
-        so_far = rows[: int(np.ceil((done - k) * len(rows)))]
-        selected = np.concatenate([points[place < k], points[so_far]])
-        actors = [canvas.add_points(selected, TANGENTIAL, 3)]  # smaller than in pictures, as frames are
-        with suppress(InputError):  # the contacts of one slice or sweep span no body yet
-            actors.append(canvas.add_body(hull(selected), BODY))
-        if sweeps:
-            last = len(sweeps[k].base) - 1
-            actors += canvas.add_rods(sweeps[k], np.array([round((done - k) * last)]))
+    for stage in stages:
+        actors = [
+            canvas.add_points(scene.points[stage.contacts], TANGENTIAL, 3)
+        ]  # smaller than in pictures, as frames are
+        if stage.body is not None:
+            actors.append(
+                canvas.add_body(stage.body, stage.color, edges=scene.surface if parts.is_hollow(scene) else None)
+            )
+        if stage.rod is not None:
+            actors += canvas.add_rods(stage.rod, np.array([stage.sample]))
         image, _ = canvas.image(width, height)
         for actor in actors:
             canvas.plotter.remove_actor(actor, render=False)
         axes.clear()
         axes.set_axis_off()
         axes.imshow(image, interpolation="nearest", aspect="auto")
-        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected):,} contacts")
+        caption.set_text(f"{scene.name}: {stage.caption}, {len(stage.contacts):,} contacts")
         figure.canvas.draw()
         yield np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3])
     canvas.plotter.close()
+
+
+def _by_touches(scene: Scene, frames: int) -> Iterator[_Stage]:
+    """The surface of a body that is not convex, as far as it was touched up to one sweep after another; at last the rest."""
+    import pyvista
+
+    stated = scene.column("sweep")
+    sweeps = np.arange(float(len(scene.points))) if stated is None else stated
+    order, of_all = np.argsort(sweeps, kind="stable"), len(np.unique(sweeps))
+    mesh, shaded = parts.shade_surface(scene)
+    color = parts.BODY if shaded is None else shaded.rgb
+    touched = np.argsort(order)[cKDTree(scene.points).query(mesh.vertices)[1]]
+    touched[np.asarray(parts.shown_surface(scene)[3]) < 2] = len(order) - 1  # what is estimated or unknown
+    for count in np.ceil(np.linspace(0, len(order), frames + 1)[1:]).astype(int):
+        faces = mesh.faces[(touched[mesh.faces] < count).all(axis=1)]
+        so_far = sweeps[order[:count]]
+        rod = shown_sweep(scene, int(so_far[-1])) if has_rods(scene) else None
+        samples = 0 if rod is None else min(int((so_far == so_far[-1]).sum()), len(rod.base))
+        yield _Stage(
+            contacts=order[:count],
+            body=pyvista.PolyData.from_regular_faces(mesh.vertices, faces) if len(faces) else None,
+            color=color,
+            rod=rod if samples else None,
+            sample=samples - 1,
+            caption=f"{len(np.unique(so_far)):,} of {of_all:,} sweeps and probings",
+        )
+
+
+def _by_slices(scene: Scene, frames: int) -> Iterator[_Stage]:
+    """The hull of the contacts of more and more slices, or sweeps where there are no slices, with a rod along one of them."""
+    name = "sweep" if is_spatial(scene) else "slice"
+    of_part = scene.column(name)
+    if of_part is None:
+        raise InputError(
+            f"{scene.name} does not say which slices its contacts lie in; show a scan's folder, or a recording"
+        )
+    numbers, points = np.unique(of_part), scene.points
+    if name == "slice":  # from one end to the other, however they were planned
+        middles = np.array([points[of_part == number].mean(axis=0) for number in numbers])
+        numbers = numbers[np.argsort(middles[:, np.ptp(middles, axis=0).argmax()], kind="stable")]
+    order = np.argsort(numbers)
+    place = order[np.searchsorted(numbers, of_part, sorter=order)]
+    sweeps = _front_sweeps(scene, numbers, of_part) if has_rods(scene) else []
+    for done in np.linspace(0, len(numbers), frames + 1)[1:]:
+        k = int(np.ceil(done)) - 1
+        rows = np.flatnonzero(place == k)
+        so_far = rows[: int(np.ceil((done - k) * len(rows)))]
+        selected, body = np.concatenate([np.flatnonzero(place < k), so_far]), None
+        with suppress(InputError):  # the contacts of one slice or sweep span no body yet
+            body = hull(points[selected])
+        rod = sweeps[k] if sweeps else None
+        sample = round((done - k) * (len(rod.base) - 1)) if rod else 0
+        yield _Stage(selected, body, parts.BODY, rod, sample, f"{k + 1} of {len(numbers)} {name}s")
 
 
 def _front_sweeps(scene: Scene, numbers: Array, parts: Array) -> list[ShownSweep]:
