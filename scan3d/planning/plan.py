@@ -158,11 +158,6 @@ class Plan:
             )
         self.stop_force_of(Rod.of_length(1.0))
         self.axes()
-        for setting, given in (("axis free", self.is_free), ("a tolerance", self.tolerance)):
-            if given and self.spacing != "adaptive":
-                raise InputError(
-                    f"{setting} needs adaptive spacing, got spacing {self.spacing!r}; leave one of them out"
-                )
         for name in ("spacing", "axis", "tolerance") if self.model == "spatial" else ():
             value, default = getattr(self, name), getattr(type(self), name)
             if not np.array_equal(value, default):

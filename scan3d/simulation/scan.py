@@ -15,7 +15,7 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
-from scan3d.errors import InputError
+from scan3d.errors import InputError, UsageError
 from scan3d.files.text import to_float
 from scan3d.geometry.hulls import check_body, check_convex, is_convex
 from scan3d.geometry.sections import extent_along, slice_frame
@@ -117,6 +117,9 @@ def simulate_judged(mesh: Any, plan: Plan) -> Recording:
     if plan.model == "spatial":
         check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan)
+    for setting, given in (("axis free", plan.is_free), ("a tolerance", plan.tolerance)):
+        if given and plan.spacing != "adaptive":
+            raise UsageError(f"{setting} needs adaptive spacing, got spacing {plan.spacing!r}; leave one of them out")
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     if along:
