@@ -156,14 +156,15 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     def leak(margin: float, near: float) -> bool:
         return bool((joined(to_free >= R - margin, to_contact <= R + near, EVERY_NEIGHBOUR) & grid.border()).any())
 
-    cells = f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"
-    noisy = f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"
-    causes = (half + error, half, noisy if error > half else cells), (free.lost, 0.0, cells)
+    causes = (
+        (half + error, half, f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"),
+        (free.lost, 0.0, f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"),
+    )
 
     def open_towards(leaks: Mask) -> str:
         why = next((text for margin, near, text in causes if not leak(-margin + half, near)), "")
         if why:
-            why += f" leave gaps which are closed without; take more slices, or a {'smaller reach' if R else 'larger bead'}"
+            why += " leave gaps which are closed without; take more slices, or a smaller reach"
         return _open(grid, leaks, sheets, touched, R, why)
 
     if not R:
