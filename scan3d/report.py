@@ -661,7 +661,10 @@ def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
     unknown = coverage["unknown"]
     if not unknown:
         return "nothing unknown"
-    (wide, *place), symbol = lengths([unknown[0]["extent"], *unknown[0]["center"]], unit)
+    extent, center = unknown[0]["extent"], unknown[0]["center"]
+    # far from the origin a place has the digits that tell it from others as far away as the patch is wide
+    away = int(np.log10(max(map(abs, center)) / extent)) if extent and any(center) else 0
+    (wide, *place), symbol = lengths([extent, *center], unit, digits=max(4, away + 2))
     left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
     patches = "in one patch" if len(unknown) == 1 else f"in {len(unknown)} patches, the largest"
     where = f"{patches} {wide} {symbol} wide at ({', '.join(place)})"

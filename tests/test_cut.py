@@ -142,6 +142,15 @@ def test_the_last_digit_decides_nothing():
     assert np.array_equal(moved.faces, surface_of("two balls").surface.faces)
 
 
+def test_far_from_the_origin_the_surface_is_the_same():
+    points, along, lines = probed("two balls")
+    away = 1e6 * np.array([1.0, -2.0, 0.5])
+    found = cut_surface(points + away, along, lines + away).surface
+    assert found.is_watertight
+    assert found.euler_number == BODIES["two balls"][1]
+    assert np.abs(two_balls(found.vertices - away)).max() < 0.02 * np.linalg.norm(np.ptp(points, axis=0))
+
+
 def test_wrong_contacts_are_found_and_cost_little():
     points, along, lines = probed("two balls")
     random = np.random.default_rng(1)

@@ -328,6 +328,13 @@ def test_the_planner_finds_what_is_unknown_by_feeling_alone():
     np.testing.assert_array_equal(again, points[: len(again)])
 
 
+def test_plans_far_from_the_origin_take_no_more_memory():
+    mesh = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
+    near = _explored(mesh, 17, seed=0)[0]
+    mesh.apply_translation([1e8, 0, -1e8])
+    assert len(_explored(mesh, 17, seed=0)[0]) == pytest.approx(len(near), rel=0.1)
+
+
 def test_nothing_is_probed_where_all_is_touched():
     points = sphere_directions(12000).T
     unknown = Unknown(np.full(3, -1.2), np.full(3, 1.2), 5.0)

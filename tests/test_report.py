@@ -9,7 +9,7 @@ import trimesh
 import scan3d
 from scan3d.bounds.constraints import sigmas
 from scan3d.pipeline import analyse
-from scan3d.report import measurands, report, summary
+from scan3d.report import measurands, report, summary, touched
 
 
 def measured(analysis):
@@ -124,3 +124,12 @@ def test_the_spatial_model_is_refused_for_bodies_that_are_stated_not_to_be_conve
     ):
         scan3d.reconstruct(hollow, model="spatial")
     assert scan3d.reconstruct(hollow).model == "planar"
+
+
+def test_places_of_patches_far_from_the_origin_are_told_apart():
+    patch = {"center": [81234.5678, -3.0, 0.0], "area": 1.0, "extent": 0.25, "reason": "why"}
+    words = touched({"known": 0.9, "estimated": 0.0, "unknown": [patch]}, "mm")
+    assert words.endswith("in one patch 0.00025 m wide at (81.23457, -0.003, 0): why")
+    assert "2.5 mm wide at (10, 0, 0)" in touched(
+        {"known": 0.9, "estimated": 0.0, "unknown": [patch | {"center": [10.0, 0.0, 0.0], "extent": 2.5}]}, "mm"
+    )

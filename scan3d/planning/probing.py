@@ -241,7 +241,7 @@ class Unknown:
         first, pixel = self._nearest(flat[:, :2], flat[:, 2])
         turned = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
         offset = _whole(turned @ pixel.T)
-        least = offset.min(axis=1, initial=0)
+        least = offset.min(axis=1) if len(first) else np.zeros(len(offset), dtype=np.int64)
         offset -= least[:, None]
         return _Image(turned @ frame[:2], first, offset, least)
 

@@ -178,7 +178,8 @@ def _coverage(surface: Any) -> dict[str, Any]:
             {
                 "center": (weight @ vertices[of_patch] / weight.sum()).tolist(),
                 "area": float(weight.sum()),
-                "extent": float(np.linalg.norm(np.ptp(vertices[of_patch], axis=0))),
+                # that of a single vertex is what a third of the faces around it has
+                "extent": float(np.linalg.norm(np.ptp(vertices[of_patch], axis=0)) or np.sqrt(weight.sum())),
             }
         )
     return {

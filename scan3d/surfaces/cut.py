@@ -123,8 +123,12 @@ def cut_surface(
     """
     import trimesh
 
-    middle = points.mean(axis=0)
-    thin = np.linalg.svd(points - middle, compute_uv=False)[-1] if len(points) > 3 else 0.0
+    # far from the origin the coordinates in tetrahedra would lose their digits
+    middle = points.mean(axis=0) if len(points) else np.zeros(3)
+    points, lines = points - middle, lines - middle
+    free, moved = (None if places is None else places - middle for places in (free, moved))
+    between = np.empty((0, 2, 3)) if between is None else between - [middle, np.zeros(3)]
+    thin = np.linalg.svd(points, compute_uv=False)[-1] if len(points) > 3 else 0.0
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if thin < _JOGGLE * size * np.sqrt(len(points)):
         raise NoBodyError("the contacts lie in a plane, and span no body; touch it from more sides")
@@ -133,7 +137,6 @@ def cut_surface(
     spacing, wall = _spacing(joggled, inward, size)
     merged = min(_MERGED * spacing, _OF_WALLS * wall)
     corners = kept_apart(joggled, merged)
-    between = np.empty((0, 2, 3)) if between is None else between
     loose = between[:, 0] + random.uniform(-1, 1, (len(between), 3)) * _JOGGLE * _CLUSTERED * size
     touching, into = np.concatenate([joggled, loose]), np.concatenate([inward, between[:, 1]])
     behind = touching + merged * np.multiply.outer(_BEHIND, into)
@@ -173,7 +176,7 @@ def cut_surface(
     vertices, faces = manifold(vertices, faces, _APART * merged)
     vertices, faces = creased(vertices, faces)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
-    surface = trimesh.Trimesh(vertices, faces, process=False)
+    surface = trimesh.Trimesh(vertices + middle, faces, process=False)
     surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")
     surface.vertex_attributes["known"] = _classes(vertices, faces, moved, inward, size)
     triangles = vertices[faces]
