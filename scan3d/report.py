@@ -44,6 +44,8 @@ _IN_WORDS = {
     "regression": "fit of planes",
     "cut": "between contacts and free space",
 }
+# The part of simulated probings without an equilibrium beyond which a summary says so.
+_MANY_LOST = 0.2
 
 
 @dataclass(frozen=True, repr=False)
@@ -529,6 +531,9 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "second_contacts" in counts:
         left_out = counts["second_contacts"]
         yield "second contacts", f"{left_out} samples left out, whose rod touched at another place as well"
+        probings, lost = counts.get("probings", 0), counts["unresolved"] or 0
+        if lost > _MANY_LOST * (probings + lost) and probings:
+            yield "unresolved", f"{lost} probings left out, whose end slips off; a smaller --stop-force leaves fewer"
         if hidden := counts["hidden_second_contacts"]:
             known = "farther from the true body than their errors explain: a second contact stayed hidden, or errors are larger"
             yield "hidden", f"{hidden} contacts are {known} than stated"

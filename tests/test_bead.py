@@ -177,7 +177,15 @@ def test_too_few_probings_with_a_bead_leave_the_body_open(coarse):
     recording = recording_of(mesh, apart=2.4 * BEAD)
     found = reach(recording, scan3d.reconstruct(recording))
     assert "nothing bounds the body towards" in found.unbounded
+    assert found.unbounded.endswith("or take a larger bead")
     assert not len(found.outer.faces)
+
+
+def test_cells_that_let_a_bead_through_are_named_and_no_noise(coarse):
+    mesh = trimesh.creation.icosphere(3, radius=12.0)
+    recording = recording_of(mesh, apart=1.3 * BEAD)
+    found = reach(recording, scan3d.reconstruct(recording))
+    assert "the cells of 443 µm" in found.unbounded
 
 
 def test_report_and_summary_say_what_a_bead_proves(coarse):

@@ -445,3 +445,10 @@ def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path):
     counts = dict(found.summary())
     assert counts["sweeps"] == f"{len(np.unique(made.sweep[~made.probed]))} and {made.probed.sum()} probings"
     assert int(counts["slices"].split()[0]) == len(np.unique(made.slice[~made.probed]))
+
+
+def test_a_stop_force_that_pushes_the_end_off_is_told():
+    body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
+    for force, told in ((0.3, True), (0.01, False)):
+        rows = dict(scan3d.scan(body, slices=4, probing="only", stop_force=force).summary())
+        assert ("unresolved" in rows) == told, rows

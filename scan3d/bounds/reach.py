@@ -153,18 +153,26 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     seeds[touching] = nearest <= R + half + error
     in_body = joined(in_body, seeds, EVERY_NEIGHBOUR)
 
-    def leak(margin: float, near: float) -> bool:
-        return bool((joined(to_free >= R - margin, to_contact <= R + near, EVERY_NEIGHBOUR) & grid.border()).any())
+    def leak(without: float) -> bool:
+        return bool(
+            (joined(to_free >= R - half + without, to_contact <= R + half, EVERY_NEIGHBOUR) & grid.border()).any()
+        )
 
-    causes = (
-        (half + error, half, f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"),
-        (free.lost, 0.0, f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"),
+    cells = f"the cells of {length(grid.step, cloud.unit)} on which bodies and free space are kept"
+    bent = (
+        f"beads that rods bent aside, or errors of poses, take to other places by up to {length(free.lost, cloud.unit)}"
     )
+    causes = (
+        (half, cells),
+        (half + error, f"contacts and free space that noise moves by up to {length(error, cloud.unit)}"),
+        (free.lost, bent if bead else cells),
+    )
+    finer = "a smaller reach" if R else "a larger bead"
 
     def open_towards(leaks: Mask) -> str:
-        why = next((text for margin, near, text in causes if not leak(-margin + half, near)), "")
+        why = next((text for without, text in causes if not leak(without)), "")
         if why:
-            why += " leave gaps which are closed without; take more slices, or a smaller reach"
+            why += f" leave gaps which are closed without; take more slices, or {finer}"
         return _open(grid, leaks, sheets, touched, R, why)
 
     if not R:
@@ -372,7 +380,7 @@ def _open(grid: Grid, leaks: Mask, sheets: list[Sheets], touched: Cloud, R: floa
     if why:
         pass
     elif not sheets:
-        why = "probings leave places out; probe in more planes, or take a larger reach"
+        why = f"probings leave places out; probe in more planes, or take a larger {'reach' if R else 'bead'}"
     elif all(ends):
         why = (
             "no slice without contact lies beyond the body's end; add slices past its ends, or scan along further axes"
