@@ -167,9 +167,10 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
 
 def _counts(analysis: Analysis) -> dict[str, int | None]:
     recording, cloud = analysis.recording, analysis.cloud
+    off = {} if analysis.any_shape is None else {"off_surface": analysis.any_shape.off}
     if recording is None:
         known = int(np.isfinite(cloud.normals).all(axis=1).sum())
-        return {"slices": 0, "sweeps": 0, "contacts": len(cloud), "with_normals": known, "light": 0}
+        return {"slices": 0, "sweeps": 0, "contacts": len(cloud), "with_normals": known, "light": 0, **off}
     slices = len(np.unique(cloud.slice[cloud.slice >= 0]))
     return {
         "slices": slices,
@@ -183,7 +184,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
         "tip": int((cloud.phase == planar.Phase.TIP).sum()),
         "light": cloud.light,
         **({} if cloud.convex else _second(analysis)),
-        **({} if analysis.any_shape is None else {"off_surface": analysis.any_shape.off}),
+        **off,
         "left_out": 0 if cloud.left_out is None else len(cloud.left_out.rows),
         **({} if cloud.unmeasured is None else {"not_measured": len(cloud.unmeasured.rows)}),
     }
@@ -537,9 +538,11 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if hidden := counts["hidden_second_contacts"]:
             known = "farther from the true body than their errors explain: a second contact stayed hidden, or errors are larger"
             yield "hidden", f"{hidden} contacts are {known} than stated"
-        if off := counts.get("off_surface"):
-            wrong = f"{off} contacts lie farther from the surface than contacts are apart: they are wrong, or "
-            yield "off the surface", wrong + "on features finer than what was touched; more slices show them"
+    if off := counts.get("off_surface"):
+        found, more = ("touches", "more touches") if data.get("model") == "touches" else ("contacts", "more slices")
+        of_all = f"{off} of {counts['contacts']} {found} are farther from the surface than {found} are apart"
+        cause = f"they are wrong, or on features finer than what was touched; {more} show them"
+        yield "off the surface", f"{of_all}: {cause}"
 
 
 def _of_certificate(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -615,8 +618,9 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     if data["warnings"]:
         return f"nothing certified: {_contradicted(data.get('model'))}"
     if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):
-        off = data["counts"].get("off_surface")
-        missing = f"; {off} contacts lie off this surface, which may lack parts of the body" if off else ""
+        off, found = data["counts"].get("off_surface"), "touches" if data.get("model") == "touches" else "contacts"
+        of_all = f"{off} of {data['counts']['contacts']} {found}"
+        missing = f"; {of_all} lie off this surface, which may lack parts of the body" if off else ""
         return touched(coverage, certified["unit"]) + missing
     if is_finite(certified["bound"]):
         body = of_scanned(data) or " of the body"

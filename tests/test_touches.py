@@ -99,6 +99,22 @@ def test_bodies_of_any_shape(name):
     assert scan3d.compare(surface, mesh).hausdorff < 0.05 * size
 
 
+def test_touches_that_the_surface_lacks_are_told(call, tmp_path):
+    """A bent sheet that is thinner than touches are apart."""
+    sheet = trimesh.boolean.union(
+        [trimesh.creation.box((60, 40, 0.36)), trimesh.creation.box((0.36, 40, 30)).apply_translation((29.8, 0, 15))],
+        engine="manifold",
+    )
+    path, out = tmp_path / "touches.csv", tmp_path / "out"
+    np.savetxt(path, np.hstack(touched(sheet, 2000, 0)), delimiter=",", header="x,y,z,nx,ny,nz", comments="")
+    code, words, _ = call("surface", path, "--out", out)
+    assert code == 0
+    off = json.loads((out / "report.json").read_text())["counts"]["off_surface"]
+    assert off > 500
+    assert f"; {off} of 2000 touches lie off this surface" in words
+    assert f"{off} of 2000 touches are farther from the surface than touches are apart" in words
+
+
 def test_normals_that_point_inwards_are_turned_and_mixed_ones_refused():
     mesh = random_body(2)
     points, normals = touched(mesh, 200, 0)
