@@ -15,13 +15,12 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.choices import one_of
+from scan3d.comparison import one_sided_distances, prepare
 from scan3d.errors import InputError, UsageError
 from scan3d.files.shapes import Shape, in_unit, read_part
 from scan3d.files.text import rows_as_text
 from scan3d.files.whole import atomic, check_file, folder
-from scan3d.geometry.distance import Search
 from scan3d.geometry.sections import slice_frame
-from scan3d.geometry.triangles import longest_first
 from scan3d.units import length, number
 
 CURVES = (".dxf", ".csv")
@@ -39,20 +38,20 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
         raise InputError("only a surface has faces to be left out, and this is a cloud; leave --faces and --error out")
     if (faces is not None and faces < 4) or (error is not None and not 0 < error < np.inf):
         raise UsageError("a surface is left at least 4 faces, and the error is a length above 0; give others")
-    solid = found = _solid(shape.points, shape.faces)
-    size, enough = float(np.linalg.norm(np.ptp(shape.points, axis=0))), None
+    solid = _solid(shape.points, shape.faces)
+    size, enough, left = float(np.linalg.norm(np.ptp(shape.points, axis=0))), None, [solid]
     low, high = 0.0, 0.0
 
     def goes_on(tolerance: float) -> bool:
-        """Whether a larger tolerance may leave fewer faces, and is wanted; what this one leaves is kept if it is the fewest."""
-        nonlocal found, enough
+        """Whether a larger tolerance may leave fewer faces, and is wanted; what this one leaves is kept."""
+        nonlocal enough
         coarser = solid.simplify(tolerance)
         if coarser.num_tri() <= 0 or (error is not None and _apart(shape, coarser.to_mesh64()) > error):
             return False
         if faces is not None and coarser.num_tri() <= faces:
             enough = coarser
             return False
-        found = min(found, coarser, key=lambda one: one.num_tri())
+        left.append(coarser)
         return True
 
     # larger tolerances do not always leave fewer faces
@@ -66,7 +65,10 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
             low = middle
         else:
             high = middle
-    found = enough or found
+    fewest = sorted(left, key=lambda one: one.num_tri())
+    found = enough or next(
+        one for one in fewest if error is None or one is solid or _apart(shape, one.to_mesh64(), error) <= error
+    )
     mesh = found.to_mesh64()
     if not len(mesh.tri_verts) or len(mesh.tri_verts) > (faces or len(shape.faces)):
         raise InputError(
@@ -137,15 +139,24 @@ def curves_file(loops: list[Array], unit: str, ending: str) -> bytes:
     return "".join(f"{code}\n{value}\n" for code, value in pairs).encode()
 
 
-def _apart(shape: Shape, mesh: Any) -> float:
-    """How far vertices and middles of the faces of a surface and of a coarser one are from each other, at most."""
+def _apart(shape: Shape, mesh: Any, beyond: float = np.inf) -> float:
+    """How far vertices and middles of the faces of a surface and of a coarser one are from each other, at most; and also other
+    places on them, if any is farther away than `beyond`."""
+    import trimesh
+
     assert shape.faces is not None
     if not len(mesh.tri_verts):
         return np.inf
-    fine, coarse = shape.points[shape.faces], mesh.vert_properties[mesh.tri_verts]
-    searches = (Search(np.take_along_axis(one, longest_first(one)[:, :, None], axis=1)) for one in (coarse, fine))
-    points = (np.concatenate([shape.points, fine.mean(axis=1)]), coarse.mean(axis=1))
-    return float(max(search.nearest(asked)[0].max(initial=0.0) for search, asked in zip(searches, points, strict=True)))
+    middle, size = shape.points.mean(axis=0), float(np.linalg.norm(np.ptp(shape.points, axis=0)))
+    meshes = (shape.points, shape.faces), (mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64))
+    fine, coarse = (prepare(trimesh.Trimesh(*one, process=False), middle, size) for one in meshes)
+    sides = (fine, coarse), (coarse, fine)
+    places = (np.concatenate([one.vertices, one.corners.mean(axis=1)]) for one, _ in sides)
+    seen = max(float(other.search.nearest(some)[0].max()) for some, (_, other) in zip(places, sides, strict=True))
+    left = beyond / size - seen
+    if 0 < left < np.inf:
+        seen = max(seen, *(side.lower for side in one_sided_distances(sides, False, left)))
+    return seen * size
 
 
 def _solid(points: Array, faces: Any) -> Any:
