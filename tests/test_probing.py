@@ -452,3 +452,9 @@ def test_a_stop_force_that_pushes_the_end_off_is_told():
     for force, told in ((0.3, True), (0.01, False)):
         rows = dict(scan3d.scan(body, slices=4, probing="only", stop_force=force).summary())
         assert ("unresolved" in rows) == told, rows
+
+
+def test_a_rod_whose_end_sticks_is_drawn_straight():
+    force, nothing = np.array([[0.0], [0.01], [0.0]]), np.zeros((3, 1))
+    line = shapes(Rod(0.05, 1e-4).in_space(), force, nothing, None, 9)[0][..., 0]
+    np.testing.assert_allclose(line[:, [0, -1]].T, [[0, 0, 0], [0, 1, 0]], atol=1e-12)

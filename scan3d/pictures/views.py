@@ -23,7 +23,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.pictures import figures, parts
 from scan3d.pictures.canvas import Canvas, need_renderer
 from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
-from scan3d.pictures.parts import DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, is_spatial, shown_sweep
+from scan3d.pictures.parts import DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, shown_sweep
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
 
 if TYPE_CHECKING:
@@ -517,8 +517,9 @@ def _by_touches(scene: Scene, frames: int) -> Iterator[_Stage]:
 
 
 def _by_slices(scene: Scene, frames: int) -> Iterator[_Stage]:
-    """The hull of the contacts of more and more slices, or sweeps where there are no slices, with a rod along one of them."""
-    name = "sweep" if is_spatial(scene) else "slice"
+    """The hull of the contacts of more and more slices, or sweeps where not all are in slices, with a rod along one of them."""
+    of_slice = scene.column("slice")
+    name = "sweep" if of_slice is None or (of_slice < 0).any() else "slice"
     of_part = scene.column(name)
     if of_part is None:
         raise InputError(
@@ -530,16 +531,18 @@ def _by_slices(scene: Scene, frames: int) -> Iterator[_Stage]:
         numbers = numbers[np.argsort(middles[:, np.ptp(middles, axis=0).argmax()], kind="stable")]
     order = np.argsort(numbers)
     place = order[np.searchsorted(numbers, of_part, sorter=order)]
-    sweeps = _front_sweeps(scene, numbers, of_part) if has_rods(scene) else []
-    for done in np.linspace(0, len(numbers), frames + 1)[1:]:
+    steps = np.linspace(0, len(numbers), frames + 1)[1:]
+    shown = np.unique(np.ceil(steps).astype(int)) - 1
+    sweeps = dict(zip(shown, _front_sweeps(scene, numbers[shown], of_part), strict=True)) if has_rods(scene) else {}
+    for done in steps:
         k = int(np.ceil(done)) - 1
         rows = np.flatnonzero(place == k)
         so_far = rows[: int(np.ceil((done - k) * len(rows)))]
         selected, body = np.concatenate([np.flatnonzero(place < k), so_far]), None
         with suppress(InputError):  # the contacts of one slice or sweep span no body yet
             body = hull(points[selected])
-        rod = sweeps[k] if sweeps else None
-        sample = round((done - k) * (len(rod.base) - 1)) if rod else 0
+        rod = sweeps.get(k)
+        sample = 0 if rod is None else round((done - k) * (len(rod.base) - 1))
         yield _Stage(selected, body, parts.BODY, rod, sample, f"{k + 1} of {len(numbers)} {name}s")
 
 
