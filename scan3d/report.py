@@ -538,7 +538,7 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if hidden := counts["hidden_second_contacts"]:
             known = "farther from the true body than their errors explain: a second contact stayed hidden, or errors are larger"
             yield "hidden", f"{hidden} contacts are {known} than stated"
-    if off := counts.get("off_surface"):
+    if (off := counts.get("off_surface")) and surface["method"] == "cut":
         found, more = ("touches", "more touches") if data.get("model") == "touches" else ("contacts", "more slices")
         of_all = f"{off} of {counts['contacts']} {found} are farther from the surface than {found} are apart"
         cause = f"they are wrong, or on features finer than what was touched; {more} show them"
@@ -617,7 +617,9 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
         return "contacts, and neither surface nor certificate"
     if data["warnings"]:
         return f"nothing certified: {_contradicted(data.get('model'))}"
-    if data["counts"].get("probings") or (data.get("model") == "touches" and "known" in coverage):
+    # what is known is told of the surface between contacts and free space, and not of one by another method
+    is_cut = "known" in coverage and data["surface"]["method"] == "cut"
+    if is_cut and (data["counts"].get("probings") or data.get("model") == "touches"):
         off, found = data["counts"].get("off_surface"), "touches" if data.get("model") == "touches" else "contacts"
         of_all = f"{off} of {data['counts']['contacts']} {found}"
         missing = f"; {of_all} lie off this surface, which may lack parts of the body" if off else ""
@@ -625,7 +627,7 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     if is_finite(certified["bound"]):
         body = of_scanned(data) or " of the body"
         return f"{_within(certified)}{body}, certified from touch{_with_confidence(certified)}"
-    if "known" in coverage:
+    if is_cut:
         shares = (
             f"{share(coverage['known'])} of the surface known, {share(coverage['estimated'])} estimated between slices"
         )

@@ -15,11 +15,13 @@ import planar
 import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.geometry.crossings import first_crossings, first_met
+from scan3d.pipeline import analyse
 from scan3d.planning.probing import Probings, Unknown
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move
 from scan3d.reconstruction.probings import free_lines
 from scan3d.recording import joined, of_rows
+from scan3d.report import report, summary
 from scan3d.rods import Gravity, Rod
 from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
@@ -458,3 +460,12 @@ def test_a_rod_whose_end_sticks_is_drawn_straight():
     force, nothing = np.array([[0.0], [0.01], [0.0]]), np.zeros((3, 1))
     line = shapes(Rod(0.05, 1e-4).in_space(), force, nothing, None, 9)[0][..., 0]
     np.testing.assert_allclose(line[:, [0, -1]].T, [[0, 0, 0], [0, 1, 0]], atol=1e-12)
+
+
+def test_what_is_known_is_not_told_of_a_surface_by_another_method():
+    body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
+    recording = scan3d.simulate(body, scan3d.Plan(slices=1, probing="only"))
+    for method, told in (("auto", True), ("hull", False)):
+        heading, rows = summary(report(analyse(recording, body, method=method), settings={}))
+        assert ("of the surface touched" in heading) == told
+        assert told or "off the surface" not in dict(rows)
