@@ -45,6 +45,8 @@ contacts' box.  Contacts are places of the body: so neither is farther from it."
 # Contacts are moved by this part of their spacing, so that no two of them are as far apart as a limit and no five on a sphere,
 # and open places likewise.
 _JOGGLE, _SEED = 1e-4, 0
+# Bodies are moved by multiples of so many diagonals, so that none is far from the origin.
+_FAR = 100.0
 # The box leaves this part of the diagonal around the contacts.
 _MARGIN = 0.1
 # Contacts closer than this part of their spacing, or of the thinnest walls, are one corner.  Spacing is that of a lattice as
@@ -123,13 +125,14 @@ def cut_surface(
     """
     import trimesh
 
-    # far from the origin the coordinates in tetrahedra would lose their digits
-    middle = points.mean(axis=0) if len(points) else np.zeros(3)
-    points, lines = points - middle, lines - middle
-    free, moved = (None if places is None else places - middle for places in (free, moved))
-    between = np.empty((0, 2, 3)) if between is None else between - [middle, np.zeros(3)]
-    thin = np.linalg.svd(points, compute_uv=False)[-1] if len(points) > 3 else 0.0
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    size, origin = 0.0, np.zeros(3)
+    if len(points) and (size := float(np.linalg.norm(np.ptp(points, axis=0)))):
+        # in tetrahedra far from the origin coordinates would lose their digits
+        origin = _FAR * size * np.round(points.mean(axis=0) / (_FAR * size))
+    points, lines = points - origin, lines - origin
+    free, moved = (None if places is None else places - origin for places in (free, moved))
+    between = np.empty((0, 2, 3)) if between is None else between - [origin, np.zeros(3)]
+    thin = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] if len(points) > 3 else 0.0
     if thin < _JOGGLE * size * np.sqrt(len(points)):
         raise NoBodyError("the contacts lie in a plane, and span no body; touch it from more sides")
     random = np.random.default_rng(_SEED)
@@ -176,7 +179,7 @@ def cut_surface(
     vertices, faces = manifold(vertices, faces, _APART * merged)
     vertices, faces = creased(vertices, faces)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
-    surface = trimesh.Trimesh(vertices + middle, faces, process=False)
+    surface = trimesh.Trimesh(vertices + origin, faces, process=False)
     surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")
     surface.vertex_attributes["known"] = _classes(vertices, faces, moved, inward, size)
     triangles = vertices[faces]
