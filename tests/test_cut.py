@@ -168,3 +168,5 @@ def test_contacts_in_a_plane_span_no_body():
     points, along, lines = probed("torus")
     with pytest.raises(InputError, match="in a plane"):
         cut_surface(points * [1, 1, 0], along, lines)
+    with pytest.raises(InputError, match="all in a few places"):
+        cut_surface(0 * points + 1, along, lines)

@@ -191,7 +191,7 @@ def _spacing(points: Array, inward: Array, size: float) -> tuple[float, float]:
     """The median distance of neighbouring contacts, and the thickness of the thinnest walls; infinite if none is seen."""
     chosen = kept_apart(points, _CLUSTERED * size)
     points, inward = points[chosen], inward[chosen]
-    if len(points) < 4:
+    if len(points) < 4 or not size:
         raise NoBodyError("the contacts are all in a few places, and span no body; touch it in more places")
     count = min(_NEIGHBOURS, len(points) - 1)
     distance, other = cKDTree(points).query(points, count + 1)
