@@ -5,10 +5,12 @@ import functools
 import numpy as np
 import pytest
 import pyvista
+import trimesh
 
 from scan3d.cloud import TOUCHED
 from scan3d.errors import InputError
 from scan3d.surfaces import cut
+from scan3d.surfaces.creases import least_bent
 from scan3d.surfaces.cut import BETWEEN, cut_surface
 
 
@@ -102,6 +104,33 @@ def test_edges_between_contacts_are_sharp(monkeypatch):
     assert np.quantile(cut_off, 0.5) > 0.2 * plain.spacing
     # and smooth bodies stay as they are
     assert len(cut_surface(*probed("torus")).surface.faces) == len(surface_of("torus").surface.faces)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_diagonals_follow_the_body(name, monkeypatch):
+    """The faces of tetrahedra zigzag: through the same contacts the surface is nearer to the body with other diagonals."""
+
+    def mean_distance(surface):
+        return np.abs(BODIES[name][0](trimesh.sample.sample_surface(surface, 20000, seed=1)[0])).mean()
+
+    found = surface_of(name).surface
+    monkeypatch.setattr(cut, "least_bent", lambda vertices, faces: faces)
+    zigzag = cut_surface(*probed(name)).surface
+    # on balls Delaunay's faces are as good already
+    assert mean_distance(found) < (1.0 if name == "two balls" else 0.85) * mean_distance(zigzag)
+    assert found.euler_number == zigzag.euler_number
+    # no other diagonal is better
+    vertices, faces = (np.asarray(part) for part in (zigzag.vertices, zigzag.faces))
+    settled = least_bent(vertices, faces)
+    assert np.array_equal(least_bent(vertices, settled), settled)
+    assert bending(vertices, settled) < bending(vertices, faces)
+
+
+def bending(vertices, faces):
+    """The sum over the edges of their lengths times the angles between their faces."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    ends = vertices[mesh.face_adjacency_edges]
+    return (np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) * mesh.face_adjacency_angles).sum()
 
 
 @pytest.mark.parametrize("name", ["torus", "two balls"])

@@ -1,5 +1,8 @@
 """Edges of bodies, between the contacts on either side of them.
 
+The faces of tetrahedra between contacts zigzag across an edge of the body, and along a bent surface.  Edges between them are
+exchanged for the other diagonals where the surface is bent less by these (Dyn, Hormann, Kim and Levin, 2001).
+
 A surface whose vertices are contacts cuts off what lies between the last contacts before an edge and the first ones behind it.
 Contacts have planes: that of a vertex is fitted to its neighbours or, near an edge, is that of a neighbour whose own neighbours
 are all on the vertex's side of it, which is the one that fits best (as in the filter of Kuwahara, 1976).  Where the planes at
@@ -9,10 +12,12 @@ Rossignac and Spagnuolo, 2003).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array, eye_array
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, unit_or_zero
 from scan3d.geometry.triangles import dot, linked, opposite_edges, spanned
 from scan3d.surfaces.tetrahedra import Edges, divided
 
@@ -23,6 +28,9 @@ _BENT, _FOLDED = np.cos(np.radians([40.0, 120.0]))
 _OFF = 0.5
 # The share of edges across a crease whose planes are that near, at least, and their number: on smooth bodies few are so.
 _SURE, _LEAST = 0.6, 8
+# Radians by which a surface is bent less that count as nothing, and the area of a face in those of its neighbours that is too
+# small to be made.
+_UNBENT, _SLIVER = 1e-6, 0.05
 # Cosine of the angle between neighbouring faces of which one is turned over, and areas that are none, in squares of the
 # distance of contacts.
 _TURNED, _FLAT = np.cos(np.radians(170.0)), 1e-3
@@ -64,6 +72,74 @@ def creased(vertices: Array, faces: Index) -> tuple[Array, Index]:
         if not turned.any():
             return new, parts
         split[np.flatnonzero(split)[parts[turned][made[turned]] - len(vertices)]] = False
+
+
+def least_bent(vertices: Array, faces: Index) -> Index:
+    """Faces (f, 3) of a closed surface, with diagonals exchanged until no other lessens the sum over all edges of their lengths
+    times the angles between their faces."""
+    faces, active = faces.astype(np.int64), np.ones(len(faces), dtype=bool)
+    while active.any():
+        found = _better(vertices, faces, active)
+        a, b, c, d = found.corners
+        # together those that have no face in common with a better one; equal ones in the order of their vertices
+        rank = np.empty(len(a), dtype=np.int64)
+        rank[np.lexsort((b, a, np.round(found.gain / found.gain.max(initial=1e-300), 9)))] = np.arange(len(a))
+        best = np.full(len(faces), -1)
+        np.maximum.at(best, found.faces.ravel(), np.tile(rank, len(found.faces)))
+        alone = np.flatnonzero((best[found.faces] == rank).all(axis=0))
+        new = np.unique(np.minimum(c, d)[alone] * len(vertices) + np.maximum(c, d)[alone], return_index=True)[1]
+        chosen = alone[new]  # no edge twice
+        active[:] = False
+        active[np.delete(found.faces, chosen, axis=1)[:2]] = True
+        active[found.faces[:, chosen]] = True
+        a, b, c, d, left, right = (column[chosen] for column in (a, b, c, d, *found.faces[:2]))
+        faces[left], faces[right] = np.stack([c, a, d], axis=1), np.stack([d, b, c], axis=1)
+    return faces
+
+
+class _Diagonals(NamedTuple):
+    """Edges (n,) of which the other diagonal of the faces beside them is better."""
+
+    corners: Index
+    """(4, n) the edge's beginning and end, and the third corners of the faces on its left and right."""
+    faces: Index
+    """(6, n) on its left and right, and beyond their other edges."""
+    gain: Array
+    """(n,) by which lengths times angles become less."""
+
+
+def _better(vertices: Array, faces: Index, active: Mask) -> _Diagonals:
+    """The edges beside active faces (f,) that are to be exchanged."""
+    beside = opposite_edges(faces)
+    assert beside is not None, "every edge belongs to two faces"
+    across = beside.ravel()
+    edge = np.flatnonzero(np.arange(len(across)) < across)
+    edge = edge[active[edge // 3] | active[across[edge] // 3]]
+    (left, j), (right, k) = np.divmod(edge, 3), np.divmod(across[edge], 3)
+    a, b, c, d = corners = np.stack([faces[left, j], faces[right, k], faces[left, j - 1], faces[right, k - 1]])
+    beyond = np.stack([beside[left, j - 2], beside[left, j - 1], beside[right, k - 2], beside[right, k - 1]]) // 3
+    size = spanned(vertices[faces])
+    normals = unit_or_zero(size)
+    made = [spanned(vertices[np.stack(three, axis=1)]) for three in ((d, b, c), (c, a, d))]
+    first, second = (unit_or_zero(each) for each in made)
+
+    def bent(start: Index, end: Index, one: Array, other: Array) -> Array:
+        angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), dot(one, other))
+        return np.asarray(np.linalg.norm(vertices[end] - vertices[start], axis=1) * angle)
+
+    gain = bent(a, b, normals[left], normals[right]) - bent(c, d, first, second)
+    sides = (b, c, left, first), (c, a, left, second), (a, d, right, second), (d, b, right, first)
+    for (start, end, face, after), other in zip(sides, normals[beyond], strict=True):
+        gain += bent(start, end, normals[face], other) - bent(start, end, after, other)
+    better = gain > _UNBENT * np.linalg.norm(vertices[b] - vertices[a], axis=1)
+    least = _SLIVER * np.minimum(*(np.linalg.norm(size[face], axis=1) for face in (left, right)))
+    for each in made:
+        better &= (dot(each, size[left] + size[right]) > 0) & (np.linalg.norm(each, axis=1) > least)
+    rows = np.flatnonzero(better)
+    # a diagonal that is an edge already would belong to four faces
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1) @ [len(vertices), 1]
+    rows = rows[~np.isin(np.minimum(c, d)[rows] * len(vertices) + np.maximum(c, d)[rows], edges)]
+    return _Diagonals(corners[:, rows], np.stack([left, right, *beyond])[:, rows], gain[rows])
 
 
 def _planes(vertices: Array, faces: Index, edges: Edges) -> tuple[Array, Array, Array]:

@@ -33,7 +33,7 @@ from scan3d.cloud import TOUCHED
 from scan3d.errors import NoBodyError
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import dot, kept_apart, longest_first, spanned
-from scan3d.surfaces.creases import creased
+from scan3d.surfaces.creases import creased, least_bent
 from scan3d.surfaces.tetrahedra import border, manifold, mend, parts, refined, shared
 
 KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
@@ -177,7 +177,8 @@ def cut_surface(
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
-    vertices, faces = creased(vertices, faces)
+    vertices, faces = creased(vertices, least_bent(vertices, faces))
+    faces = least_bent(vertices, faces)
     vertices, faces = refined(vertices, faces, min(2 * spacing, TOUCHED * size))
     surface = trimesh.Trimesh(vertices + origin, faces, process=False)
     surface.metadata.update(method="cut", reason="a minimum cut through tetrahedra between contacts and free space")
