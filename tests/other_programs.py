@@ -46,9 +46,16 @@ def example(folder):
 # --- readers: the file's points (n, 3), normals (n, 3) or None, faces (m, 3) or None, and scalars by name ---
 
 
-def _numpy(file, _):
-    if file.suffix not in (".csv", ".xyz", ".xyzn"):
-        raise OSError("numpy reads tables of text")
+def _numpy(file, what):
+    if file.suffix not in (".csv", ".mat", ".xyz", ".xyzn"):
+        raise OSError("numpy reads tables of text, and scipy MATLAB's files")
+    if file.suffix == ".mat":
+        from scipy.io import loadmat
+
+        read = loadmat(file)
+        scalars = {name: values for name, values in read.items() if np.shape(values)[1:] == (1,)}
+        faces = read["faces"].astype(int) - 1 if what == "surface" else None
+        return read["points" if faces is None else "vertices"], read["normals"], faces, scalars
     if file.suffix == ".csv":
         rows = np.genfromtxt(file, delimiter=",", names=True)
         names = rows.dtype.names

@@ -12,13 +12,16 @@ import other_programs
 import pytest
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
+from scipy.io import loadmat
 
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
+from scan3d.files.columns import read_columns
 from scan3d.files.reduced import decimated
 from scan3d.files.shapes import (
     CLOUD_ENDINGS,
+    FRAME,
     LENGTHS,
     SURFACE_ENDINGS,
     Shape,
@@ -197,6 +200,49 @@ def tree_of(path):
     return tree, primitive, {name: array(number) for name, number in primitive["attributes"].items()}
 
 
+@pytest.mark.parametrize("what", ["cloud", "surface"])
+def test_matlab_has_every_column_in_full(gaps, tmp_path, what):
+    """Against scipy's reader of MATLAB's format: every number is the same, to the last bit, and double."""
+    shape, file = read_shape(gaps / f"{what}.ply"), tmp_path / "a.mat"
+    export(gaps, file, what)
+    read = loadmat(file)
+    texts = {name: read.pop(name).item() for name in ("unit", "frame")}
+    assert texts == {"unit": "mm", "frame": FRAME}
+    own = {"points": shape.points, "normals": shape.normals}
+    if what == "surface":
+        own = {"vertices": shape.points, "normals": shape.normals, "faces": shape.faces + 1}  # MATLAB counts from 1
+    columns = own | {name: column[:, None] for name, column in shape.columns.items()}
+    assert {name for name in read if not name.startswith("__")} == set(columns)
+    for name, column in columns.items():
+        assert read[name].dtype == np.float64
+        assert np.array_equal(read[name], column, equal_nan=True)
+
+
+def test_a_mat_is_the_same_at_any_time(folder, tmp_path, monkeypatch):
+    first = written(folder, tmp_path / "a.mat")
+    monkeypatch.setattr("time.asctime", lambda: "Thu Jan  1 00:00:00 1970")
+    assert written(folder, tmp_path / "b.mat") == first
+
+
+def test_a_mat_is_a_table_of_arrays_but_none_of_touches(folder, tmp_path, cloud):
+    export(folder, tmp_path / "a.mat", "cloud")
+    columns = read_columns(tmp_path / "a.mat").values
+    assert np.array_equal(np.stack([columns[f"points_{k}"] for k in range(3)], axis=1), cloud.points)
+    assert np.array_equal(columns["force"], cloud.columns["force"])
+    with pytest.raises(InputError, match=r"can't read touches from a\.mat: expected a file ending in \.csv, \.ply"):
+        scan3d.touches(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize("name", ["2nd", "größe", "a" * 64, "unit", "normals"])
+def test_scalars_that_matlab_could_not_name_are_refused(tmp_path, cloud, name):
+    names = [name if before == "quality" else before for before in cloud.rows.dtype.names]
+    rows = cloud.rows.astype(list(zip(names, (cloud.rows.dtype[k] for k in range(len(names))), strict=True)))
+    shape = Shape(rows, None, "mm")
+    with pytest.raises(InputError, match=rf"the scalar '{name}' can't be in a \.mat: expected a name for MATLAB other"):
+        write_shape(shape, tmp_path / "a.mat")
+    assert not any(tmp_path.iterdir())
+
+
 # --- units ---
 
 
@@ -251,7 +297,7 @@ def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
         result = export(folder, tmp_path / "new" / f"a{ending.upper()}")
         assert (result["what"], result["unit"]) == (expected, "m" if ending == ".glb" else "mm")
         assert (result["faces"] > 0) == (expected == "surface")
-    for ending in (".ply", ".vtp"):
+    for ending in (".ply", ".vtp", ".mat"):
         assert export(folder, tmp_path / f"a{ending}", "cloud")["what"] == "cloud"
         # a single file contains either a cloud or a surface
         assert export(folder / "cloud.ply", tmp_path / f"a{ending}")["what"] == "cloud"

@@ -52,7 +52,7 @@ def test_a_surface_is_saved_as_the_command_exports_it(result, folder, tmp_path, 
     scan3d.save(result.surface, saved)
     export(folder, exported)
     assert saved.read_bytes() == exported.read_bytes()
-    if ending == ".vtp":
+    if ending in (".vtp", ".mat"):
         return
     back = scan3d.load(saved)
     assert isinstance(back, trimesh.Trimesh)

@@ -11,6 +11,7 @@ positions and required extensions wrongly without a message.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import struct
@@ -363,8 +364,8 @@ def in_unit(shape: Shape, unit: str | None) -> Shape:
 
 
 # The formats of clouds and of surfaces, in the order in which messages list them.
-CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv", ".glb")
-SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
+CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv", ".mat", ".glb")
+SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp", ".mat")
 # The formats of each of `EXPORTS`, the default first.
 _ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
 # Formats whose coordinates are in float32.
@@ -391,8 +392,8 @@ def export(
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
 
     what
-        'cloud' or 'surface' where the ending of `to`, which determines the format, allows either (.ply, .vtp, .glb); the
-        default is the surface, if there is one.
+        'cloud' or 'surface' where the ending of `to`, which determines the format, allows either (.ply, .vtp, .mat, .glb);
+        the default is the surface, if there is one.
     unit
         of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB is in metres.
     changed
@@ -606,6 +607,30 @@ def _obj(shape: Shape) -> bytes:
     return remarks + points + normals + "".join(faces).encode()
 
 
+def _mat(shape: Shape) -> bytes:
+    """MATLAB's format of level 5, with all numbers as double, which MATLAB combines with any others.
+
+    Source: The MathWorks, MAT-File Format, R2024a: a file begins with 116 bytes of any text.
+    """
+    from scipy.io import savemat
+
+    own: dict[str, NDArray[Any]] = {"points": shape.points, "normals": shape.normals}
+    if shape.faces is not None:
+        own = {"vertices": shape.points, "normals": shape.normals, "faces": shape.faces + 1}
+    texts = {"unit": shape.unit, "frame": FRAME}
+    for name in shape.columns:
+        if name in own | texts or not re.fullmatch(r"[a-zA-Z]\w{0,62}", name, re.ASCII):
+            raise InputError(
+                f"the scalar {name!r} can't be in a .mat: expected a name for MATLAB other than {one_of([*own, *texts])}; "
+                "rename it, or choose .ply or .vtp"
+            )
+    numbers = {name: values.astype(np.float64) for name, values in (own | shape.columns).items()}
+    data = io.BytesIO()
+    savemat(data, numbers | texts, oned_as="column")
+    # without the time, so that the same shape gives the same file
+    return f"MATLAB 5.0 MAT-file, scan3d {shape.what}".encode().ljust(116) + data.getvalue()[116:]
+
+
 def to_polydata(shape: Shape) -> Any:
     """A `pyvista.PolyData` with every column in its own precision, unit and frame as field data."""
     import pyvista
@@ -631,6 +656,7 @@ _WRITERS: dict[str, Callable[[Shape], bytes]] = {
     ".xyz": lambda shape: rows_as_text(_columns(shape, POINT), " "),
     ".xyzn": lambda shape: rows_as_text(_columns(shape, POINT + NORMAL), " "),
     ".csv": _csv,
+    ".mat": _mat,
     ".stl": _stl,
     ".obj": _obj,
     ".glb": lambda shape: glb(shape),

@@ -212,7 +212,7 @@ def attempt(chance, source, folder):
         change(f"scan/{chance.choice(files)}")
         return ["show", chance.choice(("scan", "scan", "scan/cloud.ply", "scan/surface.ply")), "--html", "o.html"]
     change(chance.choice(("scan/cloud.ply", "scan/surface.ply")))
-    ending = chance.choice(("stl", "ply", "obj", "glb", "vtp", "pcd", "xyz", "xyzn", "csv"))
+    ending = chance.choice(("stl", "ply", "obj", "glb", "vtp", "mat", "pcd", "xyz", "xyzn", "csv"))
     return ["export", chance.choice(("scan", "scan/cloud.ply", "scan/surface.ply")), "--to", f"o.{ending}"]
 
 
