@@ -184,8 +184,7 @@ def save(
 
     what
         a recording (``.csv`` or ``.parquet``, with a ``.toml`` beside it), a cloud (``.ply``, ``.pcd``, ``.vtp``, ``.xyz``,
-        ``.xyzn``, ``.csv`` or ``.glb``) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or
-        ``.vtp``).
+        ``.xyzn``, ``.csv``, ``.mat`` or ``.glb``) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb``, ``.vtp`` or ``.mat``).
     truth
         the true body, or the path of its mesh: the column ``quality`` is then the distance of each point from it.
     unit

@@ -414,8 +414,8 @@ def export(
 ) -> int:
     """Write the cloud or the surface in another format.
 
-    Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv and .glb, surfaces to .stl, .ply, .obj, .vtp and .glb. Unit,
-    frame, normals and scalars are kept where the format can contain them. .glb is in metres, with y up. ParaView
+    Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv, .mat and .glb, surfaces to .stl, .ply, .obj, .vtp, .mat and .glb.
+    Unit, frame, normals and scalars are kept where the format can contain them. .glb is in metres, with y up. ParaView
     and PyVista read bound and known from .vtp and .glb, not from .ply. A --section goes to .dxf and .csv.
 
     For example:
@@ -432,7 +432,7 @@ def export(
     to
         the file to write; its ending determines the format
     what
-        which, for .ply, .vtp and .glb (default: the surface, if there is one)
+        which, for .ply, .vtp, .mat and .glb (default: the surface, if there is one)
     unit
         unit of the lengths in the file, such as m for ROS (default: the recording's)
     faces
