@@ -12,7 +12,8 @@ contact, and chords between contacts lie in free space less deep than that.
 Where no contact is near, tetrahedra reach from one part of the body far into free space, or to another part.  So places that
 rods have passed there are corners as well, and tetrahedra at them are free.  Only where the near side of a wall was not touched
 a tetrahedron may reach from its far side through it: it has its costs, and places around one that becomes one of the surface by
-it are left out in a second cut, and more of them in a third: of both the one with fewer holes is taken.
+it are left out in a second cut, and more of them in a third.  Of both the one is taken that keeps the contacts and has fewer
+holes.
 
 Nothing depends on planes, axes or a grid.
 """
@@ -81,6 +82,8 @@ _MENDED = 8
 _SPARSE = 3.0
 # Around a wrong one they are left out within so many of their distances, whichever leaves fewer holes.
 _LEFT_OUT = 1.0, 3.0
+# The part of the contacts that may be lost beyond those that are lost anyway.
+_LOST = 0.01
 # Several fans of faces at a contact are moved apart by this part of the merged contacts' distance.
 _APART = 0.02
 
@@ -171,8 +174,11 @@ def cut_surface(
         away = cKDTree(opened[wrong]).query(opened)[0]
         fewer = [opened[away > left_out * apart] for left_out in _LEFT_OUT]
         found = [body_with(places, through_walls=True) for places in fewer]
-        # open places tear holes into a wall whose near side was not touched, also where they were not wrong before
-        best = int(np.argmax([len(np.unique(faces)) - len(faces) / 2 for faces in found]))
+        # open places tear holes into a wall whose near side was not touched, or all of it, also where they were not wrong
+        used = [np.unique(faces) for faces in found]
+        lost = np.array([len(corners) - np.count_nonzero(some < len(corners)) for some in used])
+        whole = [len(some) - len(faces) / 2 for some, faces in zip(used, found, strict=True)]
+        best = int(np.argmax(np.where(lost <= lost.min() + _LOST * len(corners), whole, -np.inf)))
         opened, faces = fewer[best], found[best]
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
