@@ -39,8 +39,8 @@ _BEST, _BESIDE = 8, 0.1
 _MOST = 3.0
 # Half the width of a cell in an image, in pixels.
 _HALF = 0.2
-# Gain of a row of probings, at least: about as much as two places far from any contact.
-_LEAST = 2.5
+# Gain of a row of probings, at least: about as much as two places far from any contact; or, where no row gains that, of one.
+_LEAST, _LAST = 2.5, 1.0
 # Components of axes that differ by no more are those of one plane.
 _ALIKE = 0.01
 # Digits of places in cells and of gains that decide: rounding does not.
@@ -160,6 +160,12 @@ class Unknown:
 
     def next_round(self, most: int = PER_ROUND) -> Planned:
         """The probings in at most so many planes that gain most; none if nothing is left to gain."""
+        planned = self._along(_LEAST, most)
+        # through a narrow neck few directions lead, and from each little is seen
+        return planned if planned.planes else self._along(_LAST, most)
+
+    def _along(self, least: float, most: int) -> Planned:
+        """The probings in planes in which rows gain so much."""
         cells, gain, body = self._border()
         if not gain.any():
             return _together([], 0)
@@ -177,7 +183,7 @@ class Unknown:
             best = [self._best(image, gain) for image in seen]
             k = int(np.argmax(np.round([total for total, *_ in best], _DIGITS)))
             total, normal, height = best[k]
-            if total < _LEAST:
+            if total < least:
                 most = number
                 break
             near = np.flatnonzero(np.round(np.abs(places @ normal - height) / self._cell, _DIGITS) <= 0.5)

@@ -13,7 +13,7 @@ Where no contact is near, tetrahedra reach from one part of the body far into fr
 rods have passed there are corners as well, and tetrahedra at them are free.  Only where the near side of a wall was not touched
 a tetrahedron may reach from its far side through it: it has its costs, and places around one that becomes one of the surface by
 it are left out in a second cut, and more of them in a third.  Of both the one is taken that keeps the contacts and has fewer
-holes.
+holes, or the first cut if neither keeps them.
 
 Nothing depends on planes, axes or a grid.
 """
@@ -175,11 +175,13 @@ def cut_surface(
         fewer = [opened[away > left_out * apart] for left_out in _LEFT_OUT]
         found = [body_with(places, through_walls=True) for places in fewer]
         # open places tear holes into a wall whose near side was not touched, or all of it, also where they were not wrong
-        used = [np.unique(faces) for faces in found]
+        used = [np.unique(some) for some in (*found, faces)]
         lost = np.array([len(corners) - np.count_nonzero(some < len(corners)) for some in used])
-        whole = [len(some) - len(faces) / 2 for some, faces in zip(used, found, strict=True)]
-        best = int(np.argmax(np.where(lost <= lost.min() + _LOST * len(corners), whole, -np.inf)))
-        opened, faces = fewer[best], found[best]
+        whole = [len(some) - len(part) / 2 for some, part in zip(used[:-1], found, strict=True)]
+        keeps = lost <= lost.min() + _LOST * len(corners)
+        if keeps[:-1].any():
+            best = int(np.argmax(np.where(keeps[:-1], whole, -np.inf)))
+            opened, faces = fewer[best], found[best]
     moved = points if moved is None else moved
     vertices = np.concatenate([moved[corners], between[:, 0], opened])
     vertices, faces = manifold(vertices, faces, _APART * merged)
