@@ -224,13 +224,11 @@ def test_a_mat_is_the_same_at_any_time(folder, tmp_path, monkeypatch):
     assert written(folder, tmp_path / "b.mat") == first
 
 
-def test_a_mat_is_a_table_of_arrays_but_none_of_touches(folder, tmp_path, cloud):
+def test_a_mat_is_a_table_of_arrays(folder, tmp_path, cloud):
     export(folder, tmp_path / "a.mat", "cloud")
     columns = read_columns(tmp_path / "a.mat").values
     assert np.array_equal(np.stack([columns[f"points_{k}"] for k in range(3)], axis=1), cloud.points)
     assert np.array_equal(columns["force"], cloud.columns["force"])
-    with pytest.raises(InputError, match=r"can't read touches from a\.mat: expected a file ending in \.csv, \.ply"):
-        scan3d.touches(tmp_path / "a.mat")
 
 
 @pytest.mark.parametrize("name", ["2nd", "größe", "a" * 64, "unit", "normals"])

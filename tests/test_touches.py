@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from scipy.io import savemat
 
 import scan3d
 from scan3d.bounds import certificate, enclosure
@@ -158,7 +159,7 @@ def test_one_command_from_points_to_a_certificate(call, tmp_path):
         _ = result.recording
 
 
-@pytest.mark.parametrize("ending", [".csv", ".ply", ".pcd", ".xyzn"])
+@pytest.mark.parametrize("ending", [".csv", ".ply", ".pcd", ".mat", ".xyzn"])
 def test_exported_contacts_are_read_as_touches(ending, tmp_path):
     """As the program writes them, in every format of clouds, single precision within its rounding."""
     mesh = random_body(5)
@@ -179,6 +180,7 @@ def test_exported_contacts_are_read_as_touches(ending, tmp_path):
         export(tmp_path / "a.ply", tmp_path / f"m{ending}", unit="m")
         assert scan3d.touches(tmp_path / f"m{ending}").covariance == pytest.approx(1e-4 * covariance, abs=1e-9)
         assert again.normal_sd == pytest.approx(np.full(100, 0.02))
+    if ending not in (".xyzn", ".mat"):
         with pytest.raises(scan3d.InputError, match="is in cm"):
             scan3d.touches(path, unit="mm")
 
@@ -198,6 +200,22 @@ def test_tables_of_other_programs(text, expected, tmp_path):
     found = read_points(path)
     for name, values in expected.items():
         assert found.columns[name] == pytest.approx(np.array(values, dtype=float))
+
+
+def test_arrays_are_read_as_touches(tmp_path):
+    normals = np.random.default_rng(0).normal(size=(50, 3))
+    points = 3 * normals
+    np.save(tmp_path / "places.npy", points)
+    np.save(tmp_path / "both.npy", np.hstack([points, normals]))
+    np.savez(tmp_path / "named.npz", points=points, normals=normals)
+    savemat(tmp_path / "any.mat", {"P": points})
+    for name, known in (("places.npy", 3), ("both.npy", 6), ("named.npz", 6), ("any.mat", 3)):
+        found = read_points(tmp_path / name)
+        assert list(found.columns) == ["x", "y", "z", "nx", "ny", "nz"][:known]
+        assert np.array_equal(found.stacked(("x", "y", "z")), points)
+    np.savez(tmp_path / "other.npz", a=points[:, 0], b=points[:, 1], c=points[:, 2])
+    with pytest.raises(scan3d.InputError, match=r"other\.npz has no column x, y or z"):
+        read_points(tmp_path / "other.npz")
 
 
 def test_tables_and_points_that_can_not_be_are_told(tmp_path):

@@ -326,7 +326,8 @@ def surface(
     Parameters
     ----------
     points
-        a .csv, .ply, .pcd, .xyz or .txt with a touch in each row, or several of one body, as of the rods of an array
+        a table (.csv, .xyz, .xlsx ...), .ply, .pcd or matrix (.mat, .npy ...) with a touch in each row, or several of one
+        body, as of the rods of an array
     out
         folder for the results (default: beside the file, such as touches-scan; touches-scan-2 if that exists)
     truth

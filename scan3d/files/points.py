@@ -16,19 +16,22 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.choices import one_of
 from scan3d.errors import InputError
-from scan3d.files.columns import check_single
+from scan3d.files.columns import ENDINGS as ARRAYS
+from scan3d.files.columns import SHEETS, check_single
 from scan3d.files.shapes import COVARIANCE, NORMAL, POINT, read_ply
 from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import check_readable
 from scan3d.units import FACTORS, UNITS_M, stated_unit, without_unit
 
-ENDINGS = (".csv", ".ply", ".pcd", ".xyz", ".xyzn", ".txt")
-"""Of files of touches; those but PLY and PCD are text in columns."""
+ENDINGS = (".csv", ".ply", ".pcd", ".xyz", ".xyzn", ".txt", *ARRAYS, *SHEETS)
+"""Of files of touches; those but PLY and PCD are tables."""
 # Other names of the columns, in small letters and without their units.
 _NAMES = {
     **{f"normal_{axis}": f"n{axis}" for axis in "xyz"},
     **{f"normal{axis}": f"n{axis}" for axis in "xyz"},
     **dict.fromkeys(("sd", "sigma", "std", "stddev"), "place_sd"),
+    **{f"points_{k}": axis for k, axis in enumerate("xyz")},
+    **{f"normals_{k}": f"n{axis}" for k, axis in enumerate("xyz")},
 }
 _WANTED = (*POINT, *NORMAL, "place_sd", "normal_sd", *COVARIANCE)
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
@@ -53,9 +56,10 @@ class Points(NamedTuple):
 
 
 def read_points(path: str | Path) -> Points:
-    """Read touches from a text table, a PLY or a PCD, whose ending says which.
+    """Read touches from a table, a PLY or a PCD, whose ending says which.
 
-    Without names, three columns of a text are places, and six places and normals.  The deviation of a normal, ``normal_sd``, is
+    Without names, three columns of a text or a matrix are places, and six places and normals; matrices may be called points and
+    normals.  The deviation of a normal, ``normal_sd``, is
     in radians, unless its unit is stated as deg.  Raises InputError for files that can't be read, and for missing coordinates.
     """
     path = Path(path)
@@ -146,7 +150,9 @@ def _text(path: Path) -> dict[str, NDArray[Any]]:
     table = read_table(path, guessed_layout(path), "table of touches")
     count = len(table.columns)
     check_single(path.name, table.names, dict.fromkeys(filter(_known, table.names)))
-    if table.names:
+    # a matrix names its columns by its own name, if it has one, and their numbers
+    matrix = path.suffix.lower() in ARRAYS and len({re.sub(r"_?\d+$", "", name) for name in table.names}) == 1
+    if table.names and (any(map(_known, table.names)) or not matrix):
         return {
             name: table.numbers(k, gaps=True) if _known(name) else table.columns[k]
             for k, name in enumerate(table.names)

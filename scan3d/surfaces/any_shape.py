@@ -294,7 +294,7 @@ def _reasons(surface: Any, patches: list[dict[str, Any]], cloud: Cloud, size: fl
         if not free
         else f"deeper than the rod reaches: {length(deep, cloud.unit)} behind the hull"
         if far
-        else "a straight rod reaches it; more planes would touch it"
+        else "a straight rod reaches it; more planes may touch it"
         for stands, free, far, deep in zip(standing, open_to, short, depth, strict=True)
     ]
 
