@@ -23,8 +23,8 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/test ## run all tests but the long ones of make trust (about half an hour on two cores)
-	@echo "All tests, $(WORKERS) at a time: about half an hour on two cores.  make fast takes seven minutes."
+test: .venv/test ## run all tests but the long ones of make trust (about a quarter of an hour on two cores)
+	@echo "All tests, $(WORKERS) at a time: about a quarter of an hour on two cores.  make fast takes seven minutes."
 	$(PYTEST) $(ARGS)
 
 fast: .venv/test ## run the tests that are not marked slow (seven minutes on two cores)
