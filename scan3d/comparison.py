@@ -43,7 +43,7 @@ from scan3d.geometry.hulls import (
 )
 from scan3d.geometry.shells import whole_body
 from scan3d.geometry.triangles import areas, distance_to, distinct_rows, dot, halve, longest_first, without_unused
-from scan3d.shown import Described, Rows, described
+from scan3d.shown import Described, Rows
 from scan3d.units import angle, length, number, point, share
 
 if TYPE_CHECKING:
@@ -104,9 +104,8 @@ class Comparison(Described):
             ("volume error", share(error) if np.isfinite(error) else "unknown: open"),
         ]
 
-    def __repr__(self) -> str:
-        title = "Comparison (lengths in units of the meshes; in brackets, of the mesh's diagonal)"
-        return described(title, self.summary())
+    def _title(self) -> str:
+        return "Comparison (lengths in units of the meshes; in brackets, of the mesh's diagonal)"
 
 
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:

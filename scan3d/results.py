@@ -58,7 +58,7 @@ from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, summary
 from scan3d.settings import Given, shows_settings
 from scan3d.settings import settings as chosen_settings
-from scan3d.shown import Rows, Shown, described
+from scan3d.shown import Rows, Shown
 from scan3d.simulation.scan import Progress
 from scan3d.simulation.scan import simulate as simulate_scan
 from scan3d.surfaces import choice
@@ -472,9 +472,8 @@ class Result(Shown):
         """The most important numbers of the report."""
         return summary(self.report)[1]
 
-    def __repr__(self) -> str:
-        heading, rows = summary(self.report)
-        return described(f"{self._name()}: {heading}", rows)
+    def _title(self) -> str:
+        return f"{self._name()}: {summary(self.report)[0]}"
 
     def _repr_html_(self) -> str:
         heading, rows = summary(self.report)

@@ -29,21 +29,25 @@ def register(**loaders: Callable[[], Any]) -> None:
     _LOADERS.update(loaders)
 
 
-def described(title: str, rows: Rows) -> str:
-    """A table as text: the title, and below it each row in lines of at most 120 characters."""
-    lines = [title, *(f"  {name:21} {value}" for name, value in rows)]
-    return "\n".join(textwrap.fill(line, 120, subsequent_indent=24 * " ", break_on_hyphens=False) for line in lines)
-
-
 class Described:
-    """A result that prints itself as a short table."""
+    """A result that shows itself as a short table, and prints it whole."""
 
     def summary(self) -> Rows:
         """The rows that `print` shows, as pairs of name and value."""
         raise NotImplementedError
 
+    def _title(self) -> str:
+        return type(self).__name__
+
+    def _lines(self) -> list[str]:
+        return [self._title(), *(f"  {name:21} {value}" for name, value in self.summary())]
+
     def __repr__(self) -> str:
-        return described(type(self).__name__, self.summary())
+        return "\n".join(line if len(line) <= 120 else f"{line[:117]}..." for line in self._lines())
+
+    def __str__(self) -> str:
+        lines = (textwrap.wrap(line, 120, subsequent_indent=24 * " ", break_on_hyphens=False) for line in self._lines())
+        return "\n".join(part for line in lines for part in line)
 
 
 class Shown(Described):
