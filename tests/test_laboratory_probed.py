@@ -172,3 +172,11 @@ def test_probings_that_touch_nothing_need_their_moves(tmp_path):
         imported(tmp_path, columns, map_of())
     assert "all would be right" not in str(refused.value)
     assert imported(tmp_path, columns, map_of("move")).summary.probings > 100
+
+
+def test_a_rod_whose_thickness_is_left_out_is_told():
+    told = "the simulated rod has no thickness, because of the body that is not convex"
+    for diameter in (0.0, 0.0005):
+        thick = replace(poses("probings"), rod=scan3d.Rod(0.09, 4e-4, diameter))
+        warnings = simulate_rig(mug(), thick, model="planar").warnings
+        assert any(told in sentence for sentence in warnings) == (diameter > 0)
