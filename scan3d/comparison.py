@@ -41,7 +41,7 @@ from scan3d.geometry.hulls import (
     outward_facets,
     prepare_facets,
 )
-from scan3d.geometry.shells import whole_body
+from scan3d.geometry.shells import cavities, whole_body
 from scan3d.geometry.triangles import areas, distance_to, distinct_rows, dot, halve, longest_first, without_unused
 from scan3d.shown import Described, Rows
 from scan3d.units import angle, length, number, point, share
@@ -126,7 +126,8 @@ def compare_with_points(
     """`compare` of a surface with a mesh, the distances (n,) of points (n, 3) from the mesh, and what was reached of it.
 
     That is the share of the mesh's area no farther than `within` from a point and not facing away from it, as the other side of
-    a thin wall does, and how far the surface is from it there: at most, by 20 000 places, and in the mean.
+    a thin wall does, how far the surface is from it there: at most, by 20 000 places, and in the mean; and the share that
+    bounds closed cavities.
     """
     prepared = bodies, centre, scale, _ = _prepared(surface, mesh)
     points, reached = (points - centre) / scale, {}
@@ -138,6 +139,8 @@ def compare_with_points(
         off, weight = bodies[0].search.nearest(places.points[near])[0] * scale, places.weights[near]
         total = float(weight.sum())
         reached = {"share": total, "max": off.max(initial=0.0), "mean": float((weight * off).sum()) / (total or 1.0)}
+        enclosed = cavities(bodies[1].vertices, bodies[1].faces)
+        reached["in_cavities"] = float(places.weights[enclosed[places.faces]].sum())
     return _compared(*prepared), error * scale, reached
 
 

@@ -49,6 +49,11 @@ def test_what_was_reached_of_a_sphere(within, share):
     reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), outer, within)[2]
     assert reached["share"] == pytest.approx(share, rel=2e-2)
     assert [reached["mean"], reached["max"]] == pytest.approx([0.1, 0.1], abs=2e-3)
+    assert reached["in_cavities"] == 0
+    hollow = trimesh.util.concatenate([outer, trimesh.creation.icosphere(5, 0.5)])
+    hollow.faces[len(outer.faces) :] = hollow.faces[len(outer.faces) :, ::-1]
+    reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), hollow, within)[2]
+    assert reached["in_cavities"] == pytest.approx(0.5**2 / (1 + 0.5**2), rel=1e-3)
 
 
 def test_place_and_attitude_do_not_matter():

@@ -97,6 +97,8 @@ OF_SCAN3D = [
         ({"stop_force": 0.7}, "far below what buckles"),
         ({"stop_force": 1e-3, "noise": 1e-3}, "stand out of the noise"),
         ({"known": 1.5}, "a share from 0 to 1"),
+        ({"known": 0.9, "probing": "off"}, "known says when a probing ends, and probing is off"),
+        ({"stop_force": 0.02, "probing": "off"}, "stop_force says when a probing ends, and probing is off"),
         ({"probing": "perhaps"}, "probing must be one of auto, off, only"),
         ({"bead": -1.0}, "diameter >= 0"),
         ({"bead": 1.0}, "choose the spatial model"),

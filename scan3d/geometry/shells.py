@@ -85,6 +85,15 @@ def _around(points: Array, faces: Index, edges: Index, back: Mask) -> list[tuple
     return list(pairs.items())
 
 
+def cavities(points: Array, faces: Index) -> Mask:
+    """Which faces (m,) of a closed mesh, whose faces are turned outwards, bound closed cavities; none of an open one."""
+    if not runs_both_ways(faces):
+        return np.zeros(len(faces), dtype=bool)
+    label = shells(points, faces)
+    volumes = np.bincount(label, _volumes(points[faces]))
+    return np.asarray((volumes < -NEGLIGIBLE * volumes.max(initial=0.0))[label])
+
+
 def whole_body(mesh: Any) -> Any:
     """A `trimesh.Trimesh` without walls inside it: the union of its shells, or the mesh as it is."""
     if "geometry_sha256" in mesh.metadata and was_judged(mesh):  # as it was read

@@ -129,6 +129,9 @@ class Plan:
             check_choice(name, getattr(self, name), known)
         if not (is_finite(self.known) and 0 <= self.known <= 1):
             raise InputError(f"known must be a share from 0 to 1, got {self.known}")
+        for name in ("known", "stop_force") if self.probing == "off" else ():
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"{name} says when a probing ends, and probing is off; leave one of the two out")
         low, high = self.friction_range
         if not 0 <= low <= high <= LARGEST_FRICTION:
             raise InputError(
