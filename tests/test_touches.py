@@ -260,6 +260,21 @@ def test_clouds_of_several_rods_are_one(tmp_path):
         scan3d.touches([paths[0], tmp_path / "exact.csv"])
 
 
+def test_normals_that_a_rod_only_tells_in_its_slices_bound_nothing(tmp_path):
+    """The planes of the last slices of this body, as its normals incline them there, cut some of it off."""
+    plan = scan3d.Plan(slices=5, samples=24, sweeps=8, friction=(0.0, 0.4), seed=6)
+    of_rod = scan3d.reconstruct(scan3d.simulate(random_body(6), plan))
+    normals = scan3d.load_mesh("meshes/egg.stl").face_normals[::40]
+    for ending in (".ply", ".csv"):
+        scan3d.save(of_rod, tmp_path / f"rod{ending}")
+        cloud = scan3d.touches(tmp_path / f"rod{ending}")
+        assert np.isfinite(cloud.normals).all(axis=1).sum() == np.isfinite(of_rod.normals).all(axis=1).sum()
+        assert np.isinf(enclosure(cloud).bound)
+        # those of another probe are measured
+        scan3d.save(scan3d.touches(20 * normals, normals), tmp_path / f"probe{ending}")
+        assert np.isfinite(enclosure(scan3d.touches(tmp_path / f"probe{ending}")).bound)
+
+
 def test_clouds_of_cameras_with_places_that_are_missing(tmp_path):
     path = tmp_path / "cloud.pcd"
     head = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA {}\n"

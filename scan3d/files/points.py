@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.choices import one_of
+from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
 from scan3d.files.columns import ENDINGS as ARRAYS
 from scan3d.files.columns import SHEETS, check_single
@@ -34,6 +35,7 @@ _NAMES = {
     **{f"normals_{k}": f"n{axis}" for k, axis in enumerate("xyz")},
 }
 _WANTED = (*POINT, *NORMAL, "place_sd", "normal_sd", *COVARIANCE)
+_SOURCE = "normal_source"
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 
 
@@ -131,6 +133,9 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
         raise InputError(f"{file} states the unit {min(unknown)}; expected one of {', '.join(UNITS_M)}")
     if len(stated) > 1:
         raise InputError(f"{file} states lengths in {' and '.join(sorted(stated))}; give all of them in one unit")
+    # what a rod's contacts leave open of a normal, as its inclination to their slice, has no deviation
+    if (estimated := found.pop(_SOURCE, np.array(NormalSource.MEASURED)) != NormalSource.MEASURED).any():
+        found["normal_sd"] = found.get("normal_sd", 0.0) + np.where(estimated, np.pi, 0.0)
     there = np.isfinite(np.stack([found[name] for name in POINT])).all(axis=0)
     return Points(
         file, {name: values[there] for name, values in found.items()}, min(stated, default=None), int((~there).sum())
@@ -142,7 +147,7 @@ def _known(title: str) -> tuple[str, tuple[str, str] | None] | None:
     title = re.sub(r"(cov_.*)2$", r"\1", title)  # the square of a unit
     name = without_unit(title).strip().lower()
     name = _NAMES.get(name, name)
-    return (name, stated_unit(title)) if name in _WANTED else None
+    return (name, stated_unit(title)) if name in (*_WANTED, _SOURCE) else None
 
 
 def _text(path: Path) -> dict[str, NDArray[Any]]:
