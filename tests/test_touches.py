@@ -232,6 +232,34 @@ def test_tables_and_points_that_can_not_be_are_told(tmp_path):
         scan3d.touches(tmp_path / "points.csv")
 
 
+def test_errors_that_are_stated_in_part_are_told(tmp_path):
+    """They counted as none, and the touches as exact."""
+    normals = scan3d.load_mesh("meshes/egg.stl").face_normals[::40]
+    names = ["xx", "xy", "xz", "yy", "yz", "zz"]
+    values = np.hstack([20 * normals, np.tile([1e-4, 0, 0, 1e-4, 0, 1e-4], (len(normals), 1))])
+
+    def table(columns, head):
+        np.savetxt(tmp_path / "t.csv", values[:, columns], "%.12g", ",", header=f"x_mm,y_mm,z_mm,{head}", comments="")
+        return tmp_path / "t.csv"
+
+    for unit in ("mm2", "mm^2", "mm²"):
+        cloud = scan3d.touches(table(slice(None), ",".join(f"cov_{name}_{unit}" for name in names)))
+        assert cloud.place_sd == pytest.approx(0.01)
+    with pytest.raises(scan3d.InputError, match=r"t\.csv has cov_xx, cov_yy, cov_zz of cov_xx, cov_xy, cov_xz, cov_yy"):
+        scan3d.touches(table([0, 1, 2, 3, 6, 8], "cov_xx,cov_yy,cov_zz"))
+    with pytest.raises(scan3d.InputError, match=r"t\.csv has nx, ny of nx, ny, nz: add the others"):
+        scan3d.touches(table([0, 1, 2, 3, 4], "nx,ny"))
+    triangles = np.tile(np.triu(np.full((3, 3), 1e-4)), (len(normals), 1, 1))
+    for more, message in (
+        ({"covariance": triangles}, f"must be symmetric, which {len(normals)} of {len(normals)} are not"),
+        ({"normals": np.ma.masked_array(normals)}, "normals is a masked array"),
+        ({"place_sd": "some"}, "place_sd must be an array of numbers, got some"),
+        ({"normal_sd": ["some"]}, "normal_sd must be an array of numbers"),
+    ):
+        with pytest.raises(scan3d.InputError, match=message):
+            scan3d.touches(20 * normals, **more)
+
+
 def test_clouds_of_several_rods_are_one(tmp_path):
     rng, paths = np.random.default_rng(0), []
     normals = rng.normal(size=(600, 3))

@@ -129,6 +129,12 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
             f"{file} has no column {one_of(missing)}: expected x, y, z, and, where they are known, nx, ny, nz, place_sd and "
             f"normal_sd; it has {', '.join(columns) or 'none'}"
         )
+    for group in (NORMAL, COVARIANCE):  # what is there in part would count as not there, and places as exact
+        if (part := [name for name in group if name in found]) and len(part) < len(group):
+            raise InputError(
+                f"{file} has {', '.join(part)} of {', '.join(group)}: add the others, or rename the columns if they are "
+                "something else"
+            )
     if unknown := stated - set(UNITS_M):
         raise InputError(f"{file} states the unit {min(unknown)}; expected one of {', '.join(UNITS_M)}")
     if len(stated) > 1:
@@ -144,7 +150,7 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
 
 def _known(title: str) -> tuple[str, tuple[str, str] | None] | None:
     """The name of a column, and its quantity and unit if these are stated; None for one that says nothing of touches."""
-    title = re.sub(r"(cov_.*)2$", r"\1", title)  # the square of a unit
+    title = re.sub(r"(cov_.*?)\^?[2²]", r"\1", title, flags=re.IGNORECASE)  # the square of a unit
     name = without_unit(title).strip().lower()
     name = _NAMES.get(name, name)
     return (name, stated_unit(title)) if name in (*_WANTED, _SOURCE) else None

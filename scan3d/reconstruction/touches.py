@@ -71,14 +71,17 @@ def touches(
         raise InputError(f"the points hold {largest:.3g}, which is no length of a body; leave such points out")
     count, size = len(points), float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     if covariance is not None:
-        covariance = np.array(covariance, dtype=np.float64)
+        covariance = _numbers(covariance, "covariance")
         if covariance.shape != (count, 3, 3) or not np.isfinite(covariance).all():
             raise InputError(f"covariance must be finite, of the shape ({count}, 3, 3), got {covariance.shape}")
         variances = np.linalg.eigvalsh(covariance)
-        wrong = variances[:, 0] < -1e-5 * np.abs(variances[:, -1])  # more than float32 rounds
-        if wrong.any():
+        rounding = 1e-5 * np.abs(variances).max(axis=1)  # more than float32 rounds
+        if (wrong := variances[:, 0] < -rounding).any():
             raise InputError(f"covariance must not be negative in any direction, as {int(wrong.sum())} of {count} are")
+        if (wrong := np.abs(covariance - covariance.swapaxes(1, 2)).max(axis=(1, 2)) > rounding).any():
+            raise InputError(f"covariance must be symmetric, which {int(wrong.sum())} of {count} are not")
         place_sd = np.sqrt(np.maximum(variances[:, -1], 0.0))
+    normal_sd = None if normal_sd is None else _numbers(normal_sd, "normal_sd")
     known_sd = None if normal_sd is None else np.where(np.isnan(normal_sd), 0.0, normal_sd)
     place, turn = _deviation(place_sd, count, "place_sd"), _deviation(known_sd, count, "normal_sd")
     if covariance is None and place is not None:
@@ -192,9 +195,21 @@ def oriented(points: Array, normals: Array) -> Array:
     return -normals if turned > 0.5 else normals
 
 
+def _numbers(given: Any, name: str) -> Array:
+    """An array of floats.  Raises InputError for masked values, which would count as measured, and for what is no number."""
+    if np.ma.isMaskedArray(given):
+        raise InputError(
+            f"{name} is a masked array, whose masked values would count as measured; leave those touches out"
+        )
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be an array of numbers, got {' '.join(str(given).split()):.40}") from None
+
+
 def _columns(given: Any, width: int, name: str, count: int | None = None) -> Array:
     """An array (n, width).  Raises InputError for other shapes."""
-    values = np.array(given, dtype=np.float64)
+    values = _numbers(given, name)
     if values.ndim != 2 or values.shape[1] != width or (count is not None and len(values) != count):
         expected = f"({'n' if count is None else count}, {width})"
         raise InputError(f"{name} must have the shape {expected}, got {values.shape}")
@@ -205,7 +220,7 @@ def _deviation(given: Array | float | None, count: int, name: str) -> Array | No
     """Standard deviations (n,) of one number or of as many; None stays None.  Raises InputError."""
     if given is None:
         return None
-    values = np.asarray(given, dtype=np.float64)
+    values = _numbers(given, name)
     if values.shape not in ((), (count,)):
         raise InputError(f"{name} must be one number or have the shape ({count},), got {values.shape}")
     if not (np.isfinite(values) & (values >= 0)).all():
