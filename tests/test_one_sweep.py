@@ -83,6 +83,28 @@ def test_an_ellipse_comes_back_through_the_file(tmp_path, sweep, capsys):
         assert image.size[0] == 1400
 
 
+@pytest.mark.parametrize("known", [{}, {"f0y": "friction = 0.25"}, {"m0z": "friction = 0.25"}])
+def test_touches_from_both_sides_are_those_of_each_side(tmp_path, left, known, capsys):
+    """A clamp that stays is touched by a pin here and there; the sign of the moment, or of the force, tells the side."""
+    touches = columns(left)[20:100:10] * [0, 1, 1, 1]
+    mirrored = touches * [1, -1, 1, -1]
+    mixed = np.stack([touches, mirrored], axis=1).reshape(-1, 4)
+    found = {}
+    for name, table in (("one", touches), ("other", mirrored), ("both", mixed)):
+        kept = [k for k, column in enumerate(COLUMNS) if column not in known]
+        path = write(tmp_path / f"{name}.csv", table[:, kept], [COLUMNS[k] for k in kept])
+        for words in known.values():
+            path.with_suffix(".toml").write_text(f"[known]\n{words}\n", encoding="utf-8")
+        assert main(["reconstruct", str(path), "--out", str(tmp_path / name)]) == 0
+        assert "base at rest" in capsys.readouterr().out
+        found[name] = read_contacts(tmp_path / name / "contacts.csv")
+    assert (found["one"]["status"] == "ok").all()
+    for name in ("x", "y", "s1", "friction", "normal_x"):
+        assert found["both"][name][::2] == pytest.approx(found["one"][name], abs=1e-12, nan_ok=True)
+        assert found["both"][name][1::2] == pytest.approx(found["other"][name], abs=1e-12, nan_ok=True)
+    assert found["other"]["x"] == pytest.approx(-found["one"]["x"], abs=1e-12)
+
+
 def test_error_bars_cover_the_truth(sweep):
     # two standard deviations cover 95.4 % of normal errors; rows near the tip may change their kind of contact
     noise, rng = 3e-4, np.random.default_rng(0)

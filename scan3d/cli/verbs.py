@@ -667,7 +667,7 @@ def _rows_of_sweep(data: dict[str, Any]) -> list[tuple[str, str]]:
     if data["undetermined"]:
         without.append(("undetermined", f"{data['undetermined']}: the reactions measured leave the contact open"))
     return [
-        ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
+        ("samples", f"{data['samples']}, base {('at rest', 'moving in +x', 'moving in -x')[data['direction']]}"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
         *without,
         ("s1", " to ".join(size(value, 4) for value in data["s1"])),

@@ -78,15 +78,9 @@ class OneSweep:
 
     @property
     def direction(self) -> int:
-        """-1 or 1: the sign of the base's motion along x, from the first row to the last one.
-
-        Of touches at one position of the base it is that by which the base would have come against the body.
-        """
+        """The sign of the base's motion along x, from the first row to the last one; 0 if it stays."""
         x0 = self.x0[np.isfinite(self.x0)]
-        if x0[0] != x0[-1]:
-            return -1 if x0[-1] < x0[0] else 1
-        pushed = -self.f0x if self.m0z is None else self.m0z  # type: ignore[operator]  # one of them at most is missing
-        return -1 if np.nansum(pushed) >= 0 else 1
+        return int(np.sign(x0[-1] - x0[0]))
 
 
 @dataclass(frozen=True)
@@ -255,34 +249,48 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     sizes = [column for column in (measured[2:] if alone else measured[:2]) if column is not None]
     stands_out = np.linalg.norm(sizes, axis=0)
     felt = stands_out > FORCE_SIGMAS * max(force, moment)
-    names = dict(zip(REACTIONS, measured, strict=True))
-    reactions = {name: np.zeros(len(sweep)) if column is None else column for name, column in names.items()}
-    assumed: dict[str, Any] = {}
-    if alone and sweep.known is not None:
-        side, nothing = -sweep.direction, np.zeros(len(x0))
-        forces, covariance = replace(sweep.known, channel=FORCE).follow(
-            felt,
-            np.zeros(len(x0), dtype=np.intp),
-            np.column_stack([x0, nothing, nothing]),
-            np.broadcast_to(np.diag([side, 1.0, side]), (len(x0), 3, 3)),
-            np.column_stack([nothing, nothing, side * reactions["m0z"]]),
-            moment,
-            rod if side > 0 else rod.mirrored(),
-        )
-        mirror = np.array([side, 1.0, side])
-        reactions["f0x"], reactions["f0y"] = side * forces[:, 0], forces[:, 1]
-        assumed["covariance"] = covariance[:, IN_PLANE[:, None], IN_PLANE] * np.outer(mirror, mirror)
-    for name in (name for name, column in names.items() if column is None and sweep.known is not None and not alone):
-        instead = replace(sweep.known or Known(), channel=name)
-        reactions[name] = instead.complete(reactions, np.flatnonzero(felt), sweep.direction, rod)
-        assumed = instead.errors
-    f0x, f0y, m0z = reactions.values()
-    common: dict[str, Any] = {"direction": sweep.direction, "rod": rod, "tolerance": LARGEST_TOLERANCE}
-    wide, errors = contacts_with_errors(x0, f0x, f0y, m0z, noise=(force, moment), **common, **assumed)
-    tolerance = planar.TOLERANCE if assumed else contact_tolerance(errors)
-    found = wide.within(tolerance, direction=sweep.direction)
+    pushed = measured[2] if measured[2] is not None else -measured[0]  # type: ignore[operator]  # one is there at least
+
+    def told(direction: int) -> tuple[planar.Contacts, planar.Errors, Mask]:
+        """The contacts (n,) of a base that moves so, their errors, and whether all reactions are known."""
+        names = dict(zip(REACTIONS, measured, strict=True))
+        reactions = {name: np.zeros(len(sweep)) if column is None else column for name, column in names.items()}
+        assumed: dict[str, Any] = {}
+        if alone and sweep.known is not None:
+            side, nothing = -direction, np.zeros(len(x0))
+            forces, covariance = replace(sweep.known, channel=FORCE).follow(
+                felt,
+                np.zeros(len(x0), dtype=np.intp),
+                np.column_stack([x0, nothing, nothing]),
+                np.broadcast_to(np.diag([side, 1.0, side]), (len(x0), 3, 3)),
+                np.column_stack([nothing, nothing, side * reactions["m0z"]]),
+                moment,
+                rod if side > 0 else rod.mirrored(),
+            )
+            mirror = np.array([side, 1.0, side])
+            reactions["f0x"], reactions["f0y"] = side * forces[:, 0], forces[:, 1]
+            assumed["covariance"] = covariance[:, IN_PLANE[:, None], IN_PLANE] * np.outer(mirror, mirror)
+        for name in (
+            name for name, column in names.items() if column is None and sweep.known is not None and not alone
+        ):
+            instead = replace(sweep.known or Known(), channel=name)
+            reactions[name] = instead.complete(reactions, np.flatnonzero(felt), direction, rod)
+            assumed = instead.errors
+        f0x, f0y, m0z = reactions.values()
+        common: dict[str, Any] = {"direction": direction, "rod": rod, "tolerance": LARGEST_TOLERANCE}
+        wide, errors = contacts_with_errors(x0, f0x, f0y, m0z, noise=(force, moment), **common, **assumed)
+        tolerance = planar.TOLERANCE if assumed else contact_tolerance(errors)
+        return wide.within(tolerance, direction=direction), errors, np.isfinite(f0x + f0y + m0z)
+
+    found, errors, complete = told(sweep.direction or -1)
+    if not sweep.direction and (back := pushed < 0).any():  # touches from the other side
+        other = told(1)
+        both: dict[str, Any] = {name: _of(back, getattr(other[0], name), one) for name, one in vars(found).items()}
+        found = replace(found, **both)
+        errors = planar.Errors(*(_of(back, *columns) for columns in zip(other[1], errors, strict=True)))
+        complete = np.where(back, other[2], complete)
     given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
-    undetermined = felt & given & ~np.isfinite(f0x + f0y + m0z)
+    undetermined = felt & given & ~complete
     left, words = _unmeasured(sweep, felt)
     hidden = (found.status == planar.Status.OK) & (~felt | left)
     found = found.refused(hidden, planar.Status.NO_FORCE)
@@ -319,7 +327,12 @@ def _unmeasured(sweep: OneSweep, felt: Mask) -> tuple[Mask, tuple[str, ...]]:
 
 def _kept(values: Array, rows: Mask) -> Array:
     """Values (n, ...) of some rows (n,), NaN in the others."""
-    return np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+    return _of(rows, values, np.nan)
+
+
+def _of(rows: Mask, values: Array, others: Array | float) -> Array:
+    """Values (n, ...) of some rows (n,), and others in the others."""
+    return np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), values, others)
 
 
 def contacts_csv(found: SweepContacts) -> bytes:
