@@ -119,7 +119,8 @@ class Live:
         if lowpass_hz is not None and not (count >= _AIR // 4 and lowpass_hz > 0):
             raise InputError(f"lowpass_hz must be above 0, and needs air_rows of at least {_AIR // 4}")
         self.model = model
-        self._air_rows, self._noise, self._lowpass_hz = count, noise, lowpass_hz
+        self._air_rows, self._lowpass_hz = count, lowpass_hz
+        self._noise = None if noise is None else (noise[0], noise[1])
         if unit is not None:
             fields["unit"] = unit
         self._like = Recording(
@@ -383,9 +384,16 @@ def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | No
         else:
             return None, read_settings(rig)
     if isinstance(rig, Calibration):
+        if rig.channels:
+            raise InputError(
+                "the rig has the matrix of a sensor's signals, and rows have forces: push the clamp's wrenches that follow by "
+                "the matrix, with a recording that was imported by this rig, or its TOML file, in the place of the rig"
+            )
         return rig, {"rod": rig.rod, "noise_pose_m": rig.pose_noise_m, "rig": rig.uncertainty()}
     if not isinstance(rig, Recording):
         raise InputError(f"a rig is a calibration, a recording, or the TOML file of one, got {type(rig).__name__}")
+    if rig.completed is not None:
+        raise InputError("the recording has a channel that was not measured, which needs the whole recording")
     names = (
         *("rod", "rig", "gravity", "unit", "table_m", "source"),
         *("noise_force_N", "noise_moment_Nm", "noise_pose_m", "noise_independent"),

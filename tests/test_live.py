@@ -13,7 +13,7 @@ import scan3d
 from scan3d import InputError
 from scan3d.reconstruction.agreement import checked
 from scan3d.reconstruction.contacts import contacts, readings, without_normals
-from scan3d.recording import of_rows
+from scan3d.recording import Known, of_rows
 from tests.rig_errors import six_axis
 
 RODS = {
@@ -268,3 +268,24 @@ def test_a_zero_that_can_not_be_found_is_refused(tmp_path):
     path.write_text("[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 2e-4\n[known]\nfriction = 0.3\n", encoding="utf-8")
     with pytest.raises(InputError, match="a channel that was not measured, which needs the whole recording"):
         scan3d.Live(path)
+    completed = replace(scanned("planar"), completed=Known(friction=0.3, channel="m0z"))
+    with pytest.raises(InputError, match="a channel that was not measured, which needs the whole recording"):
+        scan3d.Live(completed)
+
+
+def test_a_rig_that_makes_forces_of_signals_corrects_no_rows(tmp_path):
+    """Counts would be read as newtons."""
+    path = tmp_path / "rig.toml"
+    sensor = 'channels = ["fx", "fy", "mz"]\nmatrix = [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1e-5]]\noffset = [9, 9, 9]'
+    path.write_text(
+        f"schema = 1\n[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 2e-4\n[sensor]\n{sensor}\n", encoding="utf-8"
+    )
+    for rig in (path, scan3d.read_rig(path)):
+        with pytest.raises(InputError, match="the matrix of a sensor's signals, and rows have forces"):
+            scan3d.Live(rig, model="planar")
+
+
+def test_noise_may_be_an_array():
+    live = scan3d.Live(scanned("planar"), noise=np.array([1e-3, 1e-5]))
+    assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [1e-3, 0, 0]) is None
+    assert live.state == "air"
