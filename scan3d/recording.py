@@ -471,7 +471,7 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     pressed = (np.linalg.norm(force, axis=1) > least) | (np.abs(moment[:, 2]) > least)
     found = known.complete(reactions, np.flatnonzero(pressed), -1, rod.in_plane())
     kept = np.isfinite(found)
-    if not (kept & pressed).any():
+    if pressed.any() and not (kept & pressed).any():
         raise InputError(
             f"in all of the {int(pressed.sum())} rows with a force the two reactions that were measured leave no "
             f"contact, or several, with {known.words}; measure a third one"
@@ -506,7 +506,7 @@ def _with_forces(recording: Recording) -> tuple[Recording, Mask]:
     """`completed` of a recording of moments alone."""
     force, rod = followed(recording)[0], recording.rod
     kept = np.isfinite(force[:, 0])
-    if not force[kept].any():
+    if not force[kept].any() and not kept.all():
         raise InputError(
             "no sweep can be followed by its moments: each has to begin with a small push of the side of the rod, not "
             "of its tip, against the body; measure the force as well"
@@ -603,13 +603,15 @@ class Known:
 
         Raises InputError for channels that do not tell.
         """
+        found = np.zeros(len(reactions[self.channel]))
+        if not len(rows):  # nothing touches
+            return found
         f0x, f0y, m0z = (None if name == self.channel else reactions[name][rows] for name in REACTIONS)
         told: dict[str, Any] = {"tip": True} if self.friction is None else {"friction": self.friction}
         try:
             done = planar.complete(np.zeros(len(rows)), f0x, f0y, m0z, **told, direction=direction, rod=rod)
         except ValueError as error:
             raise InputError(str(error)) from None
-        found = np.zeros(len(reactions[self.channel]))
         found[rows] = getattr(done.reactions, self.channel)
         return found
 
@@ -634,6 +636,9 @@ class Known:
 
         The moment about the rod is not read.  Each stretch of a sweep that touches begins with a small push against the rod.
         """
+        force, covariance = np.zeros((len(sweep), 3)), np.zeros((len(sweep), 6, 6))
+        if not touching.any():
+            return force, covariance
         order = np.argsort(sweep, kind="stable")
         on, same = touching[order], np.append(False, np.diff(sweep[order]) == 0)
         stretch, rows = np.cumsum(on & ~(np.append(False, on[:-1]) & same))[on], order[on]
@@ -655,7 +660,6 @@ class Known:
             found = follow_pushes(frames, size, rod=rod, noise=noise, **told)
         except ValueError as error:
             raise InputError(str(error)) from None
-        force, covariance = np.zeros((len(sweep), 3)), np.zeros((len(sweep), 6, 6))
         fx, fy = found.force.T[:, :, None]
         force[rows] = fx * across + fy * rod_axis
         turned = np.concatenate([-np.nan_to_num(fx) * about, size[:, None] * across], axis=1)

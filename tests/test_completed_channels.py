@@ -12,7 +12,7 @@ import scan3d
 from scan3d import InputError, Rod
 from scan3d.geometry.distance import distances
 from scan3d.reconstruction.contacts import contacts
-from scan3d.recording import REACTIONS, completed
+from scan3d.recording import FORCE, REACTIONS, Known, completed, reaction_columns
 
 WIRE = Rod.wire(0.04, 0.25e-3, 210e9).without_thickness()
 CONE = Rod(0.04, WIRE.bending_stiffness_Nm2, 0.25e-3, 0.125e-3).without_thickness()
@@ -123,3 +123,25 @@ def test_what_two_channels_do_not_tell_is_refused(tmp_path):
     # fx of either sign agrees with the others
     with pytest.raises(InputError, match="leave no contact, or several, with that all contacts are at the tip"):
         completed(replace(whole, completed=scan3d.recording.Known(None, 0.0, "f0x")))
+
+
+@pytest.mark.parametrize(
+    ("channel", "six_axes"), [("m0z", False), ("f0y", False), ("f0x", False), (FORCE, False), (FORCE, True)]
+)
+def test_logs_in_which_nothing_was_touched_are_whole(channel, six_axes):
+    rng = np.random.default_rng(0)
+    noise = {"force_N": rng.normal(size=(20, 3)), "moment_Nm": 1e-2 * rng.normal(size=(20, 3))}
+    log = scan3d.Recording(
+        sweep=np.zeros(20, dtype=np.int64),
+        position_m=np.linspace([0, 0, 0], [-0.02, 0, 0], 20),
+        quaternion=np.tile([1.0, 0, 0, 0], (20, 1)),
+        **reaction_columns(1e-6 * noise["force_N"], 1e-6 * noise["moment_Nm"], six_axes),
+        rod=WIRE,
+        noise_force_N=1e-6,
+        noise_moment_Nm=1e-8,
+        completed=Known(FRICTION, 0.0, channel),
+    )
+    found, kept = completed(log)
+    assert kept.all()
+    with pytest.raises(InputError, match="the recording has no contact"):
+        scan3d.reconstruct(found)
