@@ -227,6 +227,8 @@ def test_tables_and_points_that_can_not_be_are_told(tmp_path):
     ):
         cloud = scan3d.touches(10 * normals, normals, table=table)
         assert [message in found.message for found in contradictions(cloud)] == [True] * (message is not None)
+    with pytest.raises(scan3d.InputError, match="a surface needs contacts that do not all lie in one plane"):
+        scan3d.touches(normals * [1, 1, 0])
     (tmp_path / "points.csv").mkdir()
     with pytest.raises(scan3d.InputError, match=r"points.csv is a folder; give touches as a \.csv"):
         scan3d.touches(tmp_path / "points.csv")

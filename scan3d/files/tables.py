@@ -479,7 +479,7 @@ def _announced_head(name: str, lines: Sequence[str], layout: Layout) -> Head:
     if number == 0:
         return Head(stated, (), (), first)
     names = tuple(stated.cells(lines[number - 1]))
-    if layout.header is None and found not in (0, number) and len(guess.names) != len(names):
+    if below and layout.header is None and found not in (0, number) and len(guess.names) != len(names):
         raise InputError(
             f"{name}: line {number} has {len(names)} cells and the data have {len(guess.names)} columns, whose names stand in "
             f"line {found}; write header = {found} under [table] in the map"

@@ -449,7 +449,9 @@ def hull_near(points: Array, faces: Index) -> Any:
 
 def _no_body(points: Array) -> NoBodyError:
     few = "one contact spans" if len(points) == 1 else f"the {len(points)} contacts span"
-    return NoBodyError(f"{few} no body: a surface needs contacts in at least two slices, not all in one plane")
+    return NoBodyError(
+        f"{few} no body: a surface needs contacts that do not all lie in one plane, as those of one slice do"
+    )
 
 
 def _by_planes(qhull: ConvexHull) -> Index:
