@@ -164,5 +164,6 @@ def test_from_counts_to_contacts(tmp_path, capsys, space):
 def test_what_is_wrong_in_the_places_is_said(tmp_path, line, why):
     written(tmp_path, False, np.random.default_rng(1))
     (tmp_path / "places.csv").write_text(line)
-    with pytest.raises(scan3d.InputError, match=re.escape(why)):
+    with pytest.raises(scan3d.InputError, match=re.escape(why)) as error:
         scan3d.calibrate_signals(tmp_path / "log.csv", tmp_path / "places.csv")
+    assert "[sensor]" not in str(error.value)  # of the map, in which nothing is wrong

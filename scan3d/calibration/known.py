@@ -379,7 +379,7 @@ def _calibration(
     if fit.chi2 > 1 + CHANCE * np.sqrt(2 / max(fit.freedom, 1)):
         sentences.append(
             f"The signals deviate from a linear function of {', '.join(names)} by {np.sqrt(fit.chi2):.3g} times what noise and "
-            " the places explain, and all deviations are enlarged by as much: check the places and the rod, and whether the "
+            "the places explain, and all deviations are enlarged by as much: check the places and the rod, and whether the "
             "sensor shows other channels as well."
         )
     if MY in told and MY not in used:

@@ -59,16 +59,15 @@ def calibrate_signals(log: str | Path, places: str | Path, map: str | Path | Non
         )
     told = _quantities(where)
     friction = told.get("friction", np.zeros(1))
-    with sensor.errors_named():
-        return of_signals(
-            rod,
-            read_frame(sensor),
-            read_transducer(sensor, len(names)).channels,
-            _places(where, told, rod.diameter_m),
-            Signals(mean, np.array([len(row) for row in rows]), spread, rounding, names),
-            reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
-            friction=float(np.nan_to_num(friction).max()),
-        )
+    return of_signals(
+        rod,
+        read_frame(sensor),
+        read_transducer(sensor, len(names)).channels,
+        _places(where, told, rod.diameter_m),
+        Signals(mean, np.array([len(row) for row in rows]), spread, rounding, names),
+        reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
+        friction=float(np.nan_to_num(friction).max()),
+    )
 
 
 def _map(log: Path, map: Path | None) -> Section:
