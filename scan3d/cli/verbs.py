@@ -44,8 +44,8 @@ _OF_ONE_SWEEP = Parameter(
     group=Group(
         "One sweep in one plane",
         help="The table may be a .csv of one sweep, or of touches at one place of the base, with the columns x0, f0x, f0y, "
-        "m0z (dimensionless) or x0_m, f0x_N, f0y_N, m0z_Nm.  One reaction may be missing if [known] in its TOML file has the "
-        "friction, or contact = 'tip'.",
+        "m0z (dimensionless) or x0_m, f0x_N, f0y_N, m0z_Nm.  One reaction may be missing, f0x only of a tapered rod, if "
+        "[known] in its TOML file has the friction, or contact = 'tip'.",
     )
 )
 # Settings of the demonstration: few slices, so that it takes some seconds, and what they leave unknown can be seen.
