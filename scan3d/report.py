@@ -24,7 +24,7 @@ from scan3d.errors import NoBodyError
 from scan3d.files.whole import SCHEMA
 from scan3d.geometry.hulls import HULL_OF_MESH
 from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
-from scan3d.recording import LARGEST_OVER_SD, Recording
+from scan3d.recording import LARGEST_OVER_SD, Known, Recording
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
 from scan3d.shown import Rows
@@ -119,7 +119,7 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "rod": None if recording is None else _rod(recording.rod, cloud),
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis.contact_error, cloud),
-        "friction": _friction(cloud, settings.get("friction")),
+        "friction": _friction(cloud, settings.get("friction"), None if recording is None else recording.completed),
         "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
@@ -202,7 +202,10 @@ def _second(analysis: Analysis) -> dict[str, int | None]:
     return {"second_contacts": cloud.second, "hidden_second_contacts": hidden, "unresolved": unresolved}
 
 
-def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
+def _friction(cloud: Cloud, friction_set: str | None, known: Known | None) -> dict[str, Any]:
+    """What contacts tell of friction: nothing where it stands for a reaction that was not measured."""
+    if known is not None and known.friction is not None:
+        return {"set": friction_set, "estimated_median": None, "estimated_range": None, "assumed": known.friction}
     friction, law = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL], {}
     if cloud.model == "spatial":
         friction = cloud.friction[np.isfinite(cloud.friction)]
@@ -481,6 +484,8 @@ def _of_contacts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
     if data.get("model") == "planar" and swept < most and not probings:
         yield "slices", f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
+    if (assumed := data["friction"].get("assumed")) is not None:
+        yield "friction", f"{number(assumed)}, assumed: it stands in [known]"
     if (median := data["friction"]["estimated_median"]) is not None:
         given = f"; set: {data['friction']['set']}" if data["friction"]["set"] else ""
         yield "friction", f"{number(median)} (median, estimated from touch{given})"

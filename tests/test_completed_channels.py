@@ -10,6 +10,7 @@ from raw_tables import POSED, si_map, write_numbers
 
 import scan3d
 from scan3d import InputError, Rod
+from scan3d.cli import main
 from scan3d.geometry.distance import distances
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import FORCE, REACTIONS, Known, completed, reaction_columns
@@ -145,3 +146,11 @@ def test_logs_in_which_nothing_was_touched_are_whole(channel, six_axes):
     assert kept.all()
     with pytest.raises(InputError, match="the recording has no contact"):
         scan3d.reconstruct(found)
+
+
+def test_friction_that_is_assumed_is_not_told_as_found(tmp_path, capsys):
+    path = without(scanned(few=True)[1], "f0y", tmp_path, f"friction = {FRICTION}")
+    assert main(["reconstruct", str(path), "--out", str(tmp_path / "out")]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert "friction 0.3, assumed: it stands in [known]" in words
+    assert "estimated from touch" not in words

@@ -626,12 +626,14 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     left_out = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items() if count) or "none"
     touching = f"{done.sweeps_with_contact} of them with contact"
     probings = f", {done.probings} of them probings" if done.probings else ""
+    axes = "six, for the model in space" if done.six_axis else "three, for the planar model"
+    known = imported.recording.completed
     rows = [
         ("table", f"{done.rows} rows{rate}"),
         ("recording", f"{done.samples} samples in {done.sweeps} sweeps{probings}, {touching}"),
         ("left out", left_out),
         *([("ringing", f"{done.ringing} rows, which count as rows without contact")] if done.ringing else []),
-        ("axes", "six, for the model in space" if done.six_axis else "three, for the planar model"),
+        ("axes", axes if known is None else f"{axes}, by {known.words}"),
     ]
     if done.air:
         unit = "s" if done.rate_hz is not None else "rows"
