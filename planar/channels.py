@@ -217,6 +217,10 @@ class Followed(NamedTuple):
 
     force: Array
     """(n, 2) support reactions along the two axes, f0x and f0y in EI/L²; NaN where there is no such contact."""
+    moment: Array
+    """(n,) the moments, which an axial force that was measured corrects as well."""
+    turn: Array
+    """(n,) angle about the rod by which it corrects the plane in which the rod bends."""
     covariance: Array
     """(n, 4, 4) of f0x, f0y, the moment, and the angle about the rod of the plane in which it bends."""
 
@@ -258,22 +262,23 @@ def follow(
     for _ in range(_TURNS):
         found = _followed(frames, moment, start, slip, rod, noise, start_sd, friction_angle_sd)
         found = _with_axial(found, axial, axial_sd)
-        last, slip = slip, _slipping(frames, found, moment, rod, zeta, slip)
+        last, slip = slip, _slipping(frames, found, rod, zeta, slip)
         if np.abs(slip.beta - last.beta).max() < _SETTLED:
             break
     return found
 
 
 def _with_axial(found: Followed, axial: Array | None, sd: float) -> Followed:
-    """The forces, conditioned on axial ones (n,) that were measured."""
+    """Forces, moments and planes, conditioned on axial forces (n,) that were measured."""
     if axial is None:
         return found
-    force, covariance = found.force.copy(), found.covariance
+    covariance = found.covariance
     with np.errstate(all="ignore"):
         gain = covariance[:, :, 1] / (covariance[:, 1, 1] + sd**2)[:, None]
     gain = np.nan_to_num(gain)
-    force += gain[:, :2] * (axial - force[:, 1])[:, None]
-    return Followed(force, covariance - gain[:, :, None] * covariance[:, None, 1])
+    moved = np.nan_to_num(gain * (axial - found.force[:, 1])[:, None])
+    left = covariance - gain[:, :, None] * covariance[:, None, 1]
+    return Followed(found.force + moved[:, :2], found.moment + moved[:, 2], found.turn + moved[:, 3], left)
 
 
 class _Slip(NamedTuple):
@@ -287,12 +292,12 @@ class _Slip(NamedTuple):
     """(n,) standard deviation of the direction of the slip."""
 
 
-def _slipping(frames: Frames, found: Followed, moment: Array, rod: Rod, zeta: float, last: _Slip) -> _Slip:
+def _slipping(frames: Frames, found: Followed, rod: Rod, zeta: float, last: _Slip) -> _Slip:
     """Where friction points by the motion of the contacts, half way from what was taken before."""
     known = np.flatnonzero(np.isfinite(found.force[:, 0]))
     if not len(known):
         return last
-    at = _contact(frames, known, found.force[known], moment[known], rod, np.zeros(len(known)))[0]
+    at = _contact(frames, known, found.force[known], found.moment[known], rod, np.zeros(len(known)))[0]
     (across, along), out = frames.axes[known].swapaxes(0, 1), frames.normal[known]
     # the normal of the rod in its plane, turned back by a right angle
     tangent = (
@@ -321,7 +326,7 @@ def _slipping(frames: Frames, found: Followed, moment: Array, rod: Rod, zeta: fl
     beta = np.arcsin(np.sin(zeta) * cosine)
     tilt = np.copysign(np.arccos(np.clip(np.cos(zeta) / np.cos(beta), -1, 1)), sine)
     # rows that are not followed yet go on as the last one
-    every = np.searchsorted(known, np.arange(len(moment)), side="right") - 1
+    every = np.searchsorted(known, np.arange(len(found.moment)), side="right") - 1
     ahead = np.clip(every, 0, None)
     beta, tilt = (last.beta + beta[ahead]) / 2, (last.tilt + tilt[ahead]) / 2
     return _Slip(beta, tilt, around[ahead])
@@ -401,7 +406,7 @@ def _followed(
             common[:, rows] += np.einsum("nij,enj->eni", told, common[:, rows - 1])
             own_covariance += told @ covariance[rows - 1] @ told.transpose(0, 2, 1)
         covariance[rows] = own_covariance
-    return Followed(force, covariance + np.einsum("eni,enj->nij", common, common))
+    return Followed(force, moment, np.zeros(count), covariance + np.einsum("eni,enj->nij", common, common))
 
 
 class _Contact(NamedTuple):

@@ -450,7 +450,10 @@ def errors(
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
     spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) if slopes is None else slopes
     if covariance is None:
-        spread = spread * [noise[0], noise[0], noise[1]]
+        force, moment = noise
+        scale = dict(zip(NAMES, (force, force, moment), strict=True))
+        # that of what was completed cancels out, and may be 0
+        spread = spread * [1.0 if name == missing else size for name, size in scale.items()]
     else:
         sizes, vectors = np.linalg.eigh(np.nan_to_num(covariance))
         spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])

@@ -464,7 +464,7 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     known, rod = recording.completed, recording.rod
     assert known is not None
     if known.channel in FOLLOWED:
-        return _with_forces(recording)
+        return _with_forces(recording, known.channel == ACROSS)
     force, moment = recording.reactions(six_axis=False)
     reactions = {"f0x": force[:, 0], "f0y": force[:, 1], "m0z": moment[:, 2]}
     least = FORCE_SIGMAS * max(recording.noise.of_reactions(rod))
@@ -485,8 +485,8 @@ def completed(recording: Recording) -> tuple[Recording, Mask]:
     return of_rows(recording, kept), kept
 
 
-def followed(recording: Recording) -> tuple[Array, Array]:
-    """The forces (n, 3) of a recording of moments alone in EI/L², and the covariances of all reactions, as `Known.follow`."""
+def followed(recording: Recording) -> tuple[Array, Array, Array]:
+    """The forces and moments (n, 3) of a recording of moments in EI/L² and EI/L, and their covariances, as `Known.follow`."""
     known, rod = recording.completed, recording.rod
     assert known is not None
     nothing = np.zeros(len(recording))
@@ -502,18 +502,21 @@ def followed(recording: Recording) -> tuple[Array, Array]:
     )
 
 
-def _with_forces(recording: Recording) -> tuple[Recording, Mask]:
-    """`completed` of a recording of moments alone."""
-    force, rod = followed(recording)[0], recording.rod
+def _with_forces(recording: Recording, are_corrected: bool) -> tuple[Recording, Mask]:
+    """`completed` of a recording of moments, alone or with the force along the rod, by which they are corrected."""
+    (force, moment, _), rod, noise = followed(recording), recording.rod, recording.noise
     kept = np.isfinite(force[:, 0])
     if not force[kept].any() and not kept.all():
         raise InputError(
             "no sweep can be followed by its moments: each has to begin with a small push of the side of the rod, not "
             "of its tip, against the body; measure the force as well"
         )
-    columns = reaction_columns(rod.force_unit_N * np.nan_to_num(force), np.zeros_like(force), recording.six_axis)
-    forces = {name: column for name, column in columns.items() if name.startswith("force")}
-    return of_rows(replace(recording, **forces), kept), kept
+    columns = reaction_columns(rod.force_unit_N * np.nan_to_num(force), rod.moment_unit_Nm * moment, recording.six_axis)
+    kinds = ("force", "moment_N", "moment_x") if are_corrected else ("force",)
+    columns = {name: column for name, column in columns.items() if name.startswith(kinds)}
+    if are_corrected:  # and do not show the digits that they had
+        columns |= {"noise_force_N": noise.force_N, "noise_moment_Nm": noise.moment_Nm}
+    return of_rows(replace(recording, **columns), kept), kept
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:
@@ -627,18 +630,18 @@ class Known:
         along: tuple[Array | None, float] = (None, 0.0),
         *,
         in_space: bool = False,
-    ) -> tuple[Array, Array]:
-        """The forces (n, 3) by the moments (n, 3), dimensionless in clamps with places (n, 3) and axes (n, 3, 3), and the
-        covariances (n, 6, 6) of force and moment: zero in rows that do not touch, forces NaN in those that are left open,
-        among them those whose error is as large as the force.
+    ) -> tuple[Array, Array, Array]:
+        """The forces (n, 3) by the moments (n, 3), dimensionless in clamps with places (n, 3) and axes (n, 3, 3), the moments,
+        and the covariances (n, 6, 6) of force and moment: zero in rows that do not touch, forces NaN in those that are left
+        open, among them those whose error is as large as the force.
 
-        `along` are the axial forces (n,) and their noise, if they were measured.
+        `along` are the axial forces (n,) and their noise, if they were measured; they correct the moments as well.
 
         The moment about the rod is not read.  Each stretch of a sweep that touches begins with a small push against the rod.
         """
         force, covariance = np.zeros((len(sweep), 3)), np.zeros((len(sweep), 6, 6))
         if not touching.any():
-            return force, covariance
+            return force, moment, covariance
         order = np.argsort(sweep, kind="stable")
         on, same = touching[order], np.append(False, np.diff(sweep[order]) == 0)
         stretch, rows = np.cumsum(on & ~(np.append(False, on[:-1]) & same))[on], order[on]
@@ -660,6 +663,11 @@ class Known:
             found = follow_pushes(frames, size, rod=rod, noise=noise, **told)
         except ValueError as error:
             raise InputError(str(error)) from None
+        if along[0] is not None:
+            cosine, sine = np.cos(found.turn)[:, None], np.sin(found.turn)[:, None]
+            across, about, size = across * cosine - about * sine, about * cosine + across * sine, found.moment
+            moment = moment.copy()
+            moment[rows[:, None], [0, 2]] = (size[:, None] * about)[:, [0, 2]]
         fx, fy = found.force.T[:, :, None]
         force[rows] = fx * across + fy * rod_axis
         turned = np.concatenate([-np.nan_to_num(fx) * about, size[:, None] * across], axis=1)
@@ -671,4 +679,4 @@ class Known:
         rates = np.stack([*columns, turned], axis=2)
         covariance[rows] = rates @ found.covariance @ rates.transpose(0, 2, 1)
         force[np.trace(covariance[:, :3, :3], axis1=1, axis2=2) > (force**2).sum(axis=1)] = np.nan
-        return force, covariance
+        return force, moment, covariance

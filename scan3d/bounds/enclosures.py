@@ -634,7 +634,7 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
     if unbounded:
         return lower, np.inf
     shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
-    return lower, max(float(ConvexHull(corners).volume) - shell, lower)
+    return lower, max(float(ConvexHull(corners, qhull_options="Qt Q12").volume) - shell, lower)
 
 
 def _bodies_by_arcs(cloud: Cloud, planes: Planes, margin: float) -> Iterator[tuple[Any, float]]:

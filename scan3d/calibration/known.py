@@ -7,7 +7,7 @@ target channels of w, so that ``G`` and ``c0`` follow by least squares with erro
 model): misclosures ``e = c - c0 - G w`` have the covariance ``V = N + G C Gᵀ`` by the noise N of the signals and the covariance
 C of the wrench, and derivatives are taken at wrenches that are adjusted by ``C Gᵀ V⁻¹ e``.  What all touches have in common,
 the curvature of the rod and the friction of the pin, are parameters.  The matrix that makes wrenches of signals is
-``A = (Gᵀ N⁻¹ G)⁻¹ Gᵀ N⁻¹``; to the first order its error adds ``-A dG w`` to a wrench w.
+``A = (Gᵀ N⁻¹ G)⁻¹ Gᵀ N⁻¹``; to the first order its error adds ``-A dG w`` to a wrench w, and an error of N adds nothing.
 """
 
 from __future__ import annotations
@@ -156,6 +156,8 @@ class _Fit(NamedTuple):
     """Of slope, row by row, offset and common parameters."""
     noise: Array
     """(q, q) of a row."""
+    noise_freedom: int
+    """Degrees of freedom by which the noise was found."""
     chi2: float
     freedom: int
 
@@ -224,6 +226,7 @@ def _fitted(target: Array, spread: Array, common: Array, prior: Array, signals: 
         theta[q * (m + 1) :],
         covariance,
         row_noise * unit * unit[:, None],
+        len(signals.spread) - n if scattered else max(n - m - 1, 1),
         chi2,
         freedom,
     )
@@ -365,6 +368,9 @@ def _calibration(
     covariance = by @ fit.covariance @ by.T
     with_all = np.pad(mixing, ((0, 0), (0, len(fit.covariance) - q * m))) @ fit.covariance
     gains = np.hstack([with_all[:, : q * m] @ mixing.T, with_all @ by.T])
+    # Of more signals than channels the weights have the error of the noise, of Wishart's distribution.  It moves the matrix
+    # between those that make the same wrenches.
+    covariance[curved + q :, curved + q :] += np.kron(own, rest) / fit.noise_freedom
     deviations = np.sqrt(covariance.diagonal())
     row = np.sqrt(np.abs(fit.noise.diagonal()))
     span, reach = np.ptp(signals.mean, axis=0), np.abs(matrix @ (signals.mean - fit.offset).T).max(axis=1)

@@ -258,7 +258,7 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         assumed: dict[str, Any] = {}
         if alone and sweep.known is not None:
             side, nothing = -direction, np.zeros(len(x0))
-            forces, covariance = replace(sweep.known, channel=FORCE).follow(
+            forces, _, covariance = replace(sweep.known, channel=FORCE).follow(
                 felt,
                 np.zeros(len(x0), dtype=np.intp),
                 np.column_stack([x0, nothing, nothing]),

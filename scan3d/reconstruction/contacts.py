@@ -207,7 +207,7 @@ def at_rows(recording: Recording, rows: Index, points: Array, **known: Any) -> C
 def _by_moment(recording: Recording) -> Array | None:
     """Covariances (n, 6, 6) of reactions whose forces follow from the moments; None where the forces were measured."""
     by_moment = recording.completed is not None and recording.completed.channel in FOLLOWED
-    return followed(recording)[1] if by_moment else None
+    return followed(recording)[2] if by_moment else None
 
 
 def rest(recording: Recording, left: LeftOut) -> tuple[Recording, Index]:
