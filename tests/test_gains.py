@@ -1,6 +1,7 @@
 """Gains of the sensor's channels: what a calibration says of them, against rigs whose gains are known."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ MOMENTS = (0.0, 0.0, 0.0, *[1 / 1.005 - 1] * 3)
 SAMPLES = {"sphere": 60, "plane": 120}
 
 
+@functools.cache
 def calibrated(gains, accuracy=None, kind="sphere", **faults):
     """A rig whose channels show too little by some gains (6,), the calibration by its touches, and these."""
     truth = rigs.Truth(gains=tuple(gains), **faults)
