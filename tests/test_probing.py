@@ -163,11 +163,14 @@ def _recording(mesh, rod, rng, *, noise=0.0, model="spatial", friction=0.3, grav
     return recorded_probings(mesh, _moves(mesh, rng, samples, length), plan, rod, length, int(rng.integers(1000)))
 
 
-@pytest.mark.parametrize(("name", "model"), [(name, model) for name in RODS for model in ("planar", "spatial")])
+# gravity leaves the planes of the planar model
+@pytest.mark.parametrize(
+    ("name", "model"), [*((name, "planar") for name in list(RODS)[:3]), *((n, "spatial") for n in RODS)]
+)
 def test_contacts_of_probings_lie_on_the_body_and_their_lines_outside(name, model):
     rng = np.random.default_rng(2)
     gravity = Gravity((0.2, -0.3, -1.0), tared=True) if name == "heavy" else None
-    for mesh in _bodies(rng) if not (gravity and model == "planar") else ():  # where gravity leaves the planes
+    for mesh in _bodies(rng):
         recording = _recording(mesh, RODS[name], rng, model=model, gravity=gravity, friction=(0.0, 0.6))
         cloud = scan3d.reconstruct(recording, model=model)
         assert cloud.probed.all()
@@ -435,7 +438,7 @@ def test_a_sweep_of_poses_is_either_swept_or_probed():
 
 
 @pytest.mark.slow
-def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path):
+def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path, no_pictures):
     """They were unknown in the cloud of an opened folder, and probings were counted as sweeps in a slice of their own."""
     mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
     made = scan3d.scan(mesh, slices=6, samples=16, known=0.5)
