@@ -247,4 +247,3 @@ def test_a_withdrawn_enclosure_states_nothing(axis):
     lower, upper = nothing.support(DIRECTIONS)
     assert (lower == -np.inf).all()
     assert (upper == np.inf).all()
-    assert certificate(nothing, bounds.inner).bound == np.inf
