@@ -94,7 +94,7 @@ def test_a_log_is_corrected_by_the_gains_and_its_bound_allows_for_them():
     mesh = scan3d.load_mesh(MESHES / "egg.stl")
     rod = scan3d.Rod(truth.length, truth.stiffness, rigs.ROD.diameter_m)
     exact = dataclasses.replace(
-        scan3d.simulate(mesh, scan3d.Plan(slices=12, friction=0.3, samples=24, rod=rod)),
+        scan3d.simulate(mesh, scan3d.Plan(slices=8, friction=0.3, samples=16, rod=rod)),
         table_m=mesh.bounds[0, 2] / 1000,
     )
     log = logged(exact, truth)

@@ -363,7 +363,7 @@ def test_the_clamp_stays_outside_of_the_body():
 @pytest.mark.slow
 def test_a_scan_of_a_hollow_body_reaches_into_it_and_says_what_it_touched():
     body = trimesh.creation.annulus(r_min=8, r_max=11, height=20, sections=24)
-    result = scan3d.scan(body, slices=32, samples=24, friction=(0.0, 0.4))
+    result = scan3d.scan(body, slices=24, samples=24, friction=(0.0, 0.4))
     report = result.report
     counts, coverage = report["counts"], report["coverage"]
     assert 0 < counts["probings"] < counts["sweeps"]

@@ -168,9 +168,9 @@ AXES = {"x": (1, 0, 0), "down": (0, 0, -1), "oblique": (0.3, -0.2, 1), "level an
     "axis", [pytest.param(axis, marks=pytest.mark.trust if "level" in axis or axis == "down" else ()) for axis in AXES]
 )
 def test_further_poses_follow_the_frames_of_the_recording_above_the_floor(egg, axis):
-    plan = scan3d.Plan(slices=5, samples=24, axis="xz" if axis == "two" else AXES[axis], rod=ROD)
+    plan = scan3d.Plan(slices=4, samples=16, axis="xz" if axis == "two" else AXES[axis], rod=ROD)
     recording = scan3d.simulate(egg, plan)
-    session = Session("cylinder:60x60", rod=recording.rod, samples=24, floor=1.0)
+    session = Session("cylinder:60x60", rod=recording.rod, samples=16, floor=1.0)
     session.tell(recording)
     poses = session.ask(16)
     check_clear(poses, session)
