@@ -496,9 +496,9 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
 
 
 @pytest.mark.slow
-def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, longer):
-    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(longer, air=150), RIG_WITH_NOISE)))
-    data = map_of(longer.rod, RIG_WITH_NOISE)
+def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
+    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(planar, air=150), RIG_WITH_NOISE)))
+    data = map_of(planar.rod, RIG_WITH_NOISE)
     full = scan3d.import_table(tmp_path / "long.parquet", data)
     data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
     raw = load(tmp_path / "long.parquet", read_map(data))

@@ -384,7 +384,7 @@ def test_a_rig_probes_a_body_round_after_round():
     session = scan3d.Session("cylinder:26x14", rod=Rod.of_length(0.045).without_thickness(), probing=True)
     known = []
     for _ in range(3):
-        poses = session.ask(sweeps=24)
+        poses = session.ask(sweeps=16)
         log = rig.simulate_rig(body, poses, friction=(0.0, 0.4))
         session.tell(log.recording())
         known.append(session._known.any_shape.coverage["known"])
@@ -455,7 +455,7 @@ def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path, no_pictures):
 def test_a_stop_force_that_pushes_the_end_off_is_told():
     body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     for force, told in ((0.3, True), (0.01, False)):
-        rows = dict(scan3d.scan(body, slices=4, probing="only", stop_force=force).summary())
+        rows = dict(scan3d.scan(body, slices=2, probing="only", stop_force=force).summary())
         assert ("unresolved" in rows) == told, rows
 
 
