@@ -331,13 +331,13 @@ def test_off_whose_first_number_follows_the_word_without_a_space(tmp_path, word,
     assert load_mesh(tmp_path / "box.off").volume == pytest.approx(6)
 
 
-CORNERS = [(x, y, z) for z in (0, 7) for x, y in ((20, 0), (20, 5), (5, 5), (5, 20), (0, 20), (0, 0))]
+LETTER = [(x, y, z) for z in (0, 7) for x, y in ((20, 0), (20, 5), (5, 5), (5, 20), (0, 20), (0, 0))]
 SIDES = [[5, 4, 3, 2, 1, 0], [*range(6, 12)], *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))]
 
 
 def letter_of_polygons(kind):
     """A letter of the area 910 and the volume 1225, whose ends are polygons that are not convex."""
-    points, sides = ([" ".join(map(str, row)) for row in rows] for rows in (CORNERS, SIDES))
+    points, sides = ([" ".join(map(str, row)) for row in rows] for rows in (LETTER, SIDES))
     sides = [f"{len(side.split())} {side}" for side in sides]
     if kind == "obj":  # with colours, and lines and points among the faces
         faces = (" ".join(["  f", *(f"{k - 12}//" for k in side), "\\ \n"]) for side in SIDES)
@@ -350,7 +350,7 @@ def letter_of_polygons(kind):
     if kind == "ascii":
         return head + text(*(f"{point} 1 9" for point in points), "", *(f"7 {side}" for side in sides))
     order = "<" if "little" in kind else ">"
-    rows = [struct.pack(order + "3dBh", *corner, 1, 9) for corner in CORNERS]
+    rows = [struct.pack(order + "3dBh", *corner, 1, 9) for corner in LETTER]
     return b"".join(
         [head, *rows, *(struct.pack(f"{order}Bi{len(side)}H", 7, len(side), *side) for side in SIDES), b"\n"]
     )

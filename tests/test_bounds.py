@@ -128,7 +128,7 @@ def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
 @pytest.mark.slow
 def test_the_certificate_does_not_rest_on_an_inferred_friction():
     """A wrong coefficient would make the bound wrong: the enclosure is that of the tangential contacts alone."""
-    cloud = scanned(random_body(2), slices=12)
+    cloud = scanned(random_body(2), slices=12, samples=24)
     tip = cloud.phase == planar.Phase.TIP
     unknown = cloud.in_plane_normals.copy()
     unknown[tip] = np.nan
@@ -237,7 +237,7 @@ def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_a_withdrawn_enclosure_states_nothing(axis):
-    bounds = enclosure(scanned(random_body(1), slices=4, axis=axis))
+    bounds = enclosure(scanned(random_body(1), slices=4, samples=24, axis=axis))
     nothing = bounding_nothing(bounds)
     certified = certificate(nothing, bounds.inner)
     assert certified.bound == nothing.bound == np.inf
@@ -247,4 +247,3 @@ def test_a_withdrawn_enclosure_states_nothing(axis):
     lower, upper = nothing.support(DIRECTIONS)
     assert (lower == -np.inf).all()
     assert (upper == np.inf).all()
-    assert certificate(nothing, bounds.inner).bound == np.inf

@@ -51,8 +51,8 @@ def of_rig(found):
 
 
 @functools.cache
-def calibrated(kind):
-    recording, touched = recorded(kind)
+def calibrated(kind, **raster):
+    recording, touched = recorded(kind, **raster)
     return recording, scan3d.calibrate(recording, touched), kind
 
 
@@ -70,7 +70,7 @@ def noisy(request):
 
 @pytest.fixture
 def on_sphere():
-    return calibrated("sphere")[1]
+    return calibrated("sphere", **SHORT)[1]
 
 
 @pytest.mark.slow
@@ -156,7 +156,7 @@ def test_with_noise_the_errors_are_those_that_are_stated(noisy):
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.0, 0.5])
 def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, stated):
-    recording = rigs.recorded()
+    recording = rigs.recorded(**SHORT)
     force, moment = recording.noise_force_N, recording.noise_moment_Nm
     recording = dataclasses.replace(recording, noise_force_N=stated * force, noise_moment_Nm=stated * moment)
     found = scan3d.calibrate(recording, rigs.DIAMETER)
@@ -327,12 +327,12 @@ def test_a_gain_that_changes_from_row_to_row_is_allowed_for():
 @pytest.mark.slow
 def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_sphere):
     """Half of the noise's variance is 1/f."""
-    recording = rigs.recorded(pink=0.5, stated=False)
+    recording = rigs.recorded(pink=0.5, stated=False, **SHORT)
     found = scan3d.calibrate(recording, rigs.DIAMETER)
     rig = of_rig(found)
     assert np.median(found.standard_deviations[rig] / on_sphere.standard_deviations[of_rig(on_sphere)]) > 1.1
     names = tuple(np.array(found.names)[rig])
-    true = rigs.truth_of(dataclasses.replace(found, names=names), rigs.Truth(), recording)
+    true = rigs.truth_of(dataclasses.replace(found, names=names), rigs.Truth(), recording, **SHORT)
     assert np.abs((found.values[rig] - true) / found.standard_deviations[rig]).max() < 4
 
 
@@ -352,7 +352,7 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
         (of_rows(recording, ~touching), rigs.DIAMETER, "rows in contact that stand out from the noise"),
         (silent, rigs.DIAMETER, "has 0 rows in contact"),
         (wrong_sign, rigs.DIAMETER, "signs of forces and moments"),
-        (recorded("plane", **SHORT)[0], rigs.DIAMETER, "do not fit a sphere of 30 mm"),
+        (recorded("plane", sweeps=15, **SHORT)[0], rigs.DIAMETER, "do not fit a sphere of 30 mm"),
         (rigs.planar_recorded()[0], "plane", "all six components; with three, touch a sphere"),
     ):
         with pytest.raises(InputError, match=sentence):
@@ -370,16 +370,10 @@ def test_rows_that_come_and_go_do_not_spoil_a_fit():
     assert (np.abs(errors) < 4 * found.standard_deviations).all()
 
 
-@pytest.fixture(scope="module")
-def touches(tmp_path_factory):
-    path = tmp_path_factory.mktemp("touches") / "touches.csv"
-    scan3d.write_recording(rigs.recorded(), path)
-    return path
-
-
 @pytest.mark.slow
-def test_the_command_writes_a_rig_and_prints_a_table(call, touches, tmp_path, on_sphere):
-    rig = tmp_path / "new" / "rig.toml"
+def test_the_command_writes_a_rig_and_prints_a_table(call, tmp_path):
+    (recording, found, _), rig, touches = calibrated("sphere"), tmp_path / "new" / "rig.toml", tmp_path / "touches.csv"
+    scan3d.write_recording(recording, touches)
     code, out, err = call("calibrate", touches, "--sphere", 0.03, "--unit", "m", "--out", rig)
     assert (code, err) == (0, "")
     lines = out.splitlines()
@@ -387,15 +381,15 @@ def test_the_command_writes_a_rig_and_prints_a_table(call, touches, tmp_path, on
     stiffness = lines[1].split()
     assert stiffness[0] == "bending_stiffness_Nm2"
     assert float(stiffness[1]) == pytest.approx(rigs.Truth().stiffness, rel=0.005)
-    assert float(stiffness[3]) == pytest.approx(2 * on_sphere.standard_deviations[0], rel=0.2)
+    assert float(stiffness[3]) == pytest.approx(2 * found.standard_deviations[0], rel=0.2)
     assert stiffness[4] == "well"
     assert lines[-1] == f"written to {rig}"
     data = tomllib.loads(rig.read_text())
     assert data["sensor"]["position_mm"] == pytest.approx([4, -19, 5], abs=0.4)
     assert data["clamp"]["position_mm"] == pytest.approx([0.6, -1.1, 0.8], abs=0.12)
-    assert len(data["covariance"]["matrix"]) == len(data["covariance"]["quantities"]) == len(on_sphere.names)
+    assert len(data["covariance"]["matrix"]) == len(data["covariance"]["quantities"]) == len(found.names)
     # the digits of the table are all there
-    assert data["rod"]["bending_stiffness_Nm2"] == on_sphere.rod.bending_stiffness_Nm2
+    assert data["rod"]["bending_stiffness_Nm2"] == found.rod.bending_stiffness_Nm2
 
 
 def test_a_rig_is_read_back_as_it_was(tmp_path, noisy):

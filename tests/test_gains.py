@@ -1,6 +1,7 @@
 """Gains of the sensor's channels: what a calibration says of them, against rigs whose gains are known."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ MOMENTS = (0.0, 0.0, 0.0, *[1 / 1.005 - 1] * 3)
 SAMPLES = {"sphere": 60, "plane": 120}
 
 
+@functools.cache
 def calibrated(gains, accuracy=None, kind="sphere", **faults):
     """A rig whose channels show too little by some gains (6,), the calibration by its touches, and these."""
     truth = rigs.Truth(gains=tuple(gains), **faults)
@@ -92,7 +94,7 @@ def test_a_log_is_corrected_by_the_gains_and_its_bound_allows_for_them():
     mesh = scan3d.load_mesh(MESHES / "egg.stl")
     rod = scan3d.Rod(truth.length, truth.stiffness, rigs.ROD.diameter_m)
     exact = dataclasses.replace(
-        scan3d.simulate(mesh, scan3d.Plan(slices=12, friction=0.3, samples=24, rod=rod)),
+        scan3d.simulate(mesh, scan3d.Plan(slices=8, friction=0.3, samples=16, rod=rod)),
         table_m=mesh.bounds[0, 2] / 1000,
     )
     log = logged(exact, truth)

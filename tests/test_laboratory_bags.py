@@ -130,31 +130,23 @@ def test_static_transforms_hold_for_all_times(tmp_path, recording):
 
 
 def test_topics_that_are_not_there(tmp_path, recording):
-    log = track(recording, air=25)
-    path = written(tmp_path / "run", 2, log, "pose")
-    for ros, sentence in (
-        (
-            {"wrench": "/ftt"},
-            r"run has no topic '/ftt' of WrenchStamped, which \[ros\] wrench .*; it has /ft; did you mean /ft\?",
-        ),
-        ({"tf": ["world", "clamp"]}, r"run: tf has no chain from 'world' to 'clamp'.*it has no frames"),
-        ({"pose": "/a", "tf": ["world", "clamp"]}, r"\[ros\] tf and pose can't both be given"),
+    log, world = track(recording, air=25), ["world", "clamp"]
+    written(tmp_path / "run", 2, log, "pose")
+    written(tmp_path / "tf.bag", 1, log, "tf")
+    written(tmp_path / "several", 2, log, "tf", static=(0, 1), parents=("flange", "camera"))
+    (tmp_path / "cut.bag").write_bytes((tmp_path / "tf.bag").read_bytes()[:50])
+    for name, ros, sentence in (
+        ("run", {"wrench": "/ftt"}, r"run has no topic '/ftt' of WrenchStamped, .*; it has /ft; did you mean /ft\?"),
+        ("run", {"tf": world}, r"run: tf has no chain from 'world' to 'clamp'.*it has no frames"),
+        ("run", {"pose": "/a", "tf": world}, r"\[ros\] tf and pose can't both be given"),
+        ("tf.bag", {}, r"tf\.bag has no topic of PoseStamped; record one, or name the frames of tf"),
+        ("tf.bag", {"tf": ["wrld", "clamp"]}, r"no chain from 'wrld' to 'clamp'.*; did you mean world"),
+        ("tf.bag", {"tf": ["flange", "clamp"]}, r"nothing moves between 'flange' and 'clamp' in tf"),
+        ("several", {"tf": world}, r"several: tf has 'clamp' in several frames, flange, camera, where one is"),
+        ("cut.bag", {}, r"can't read the bag .*cut\.bag"),
     ):
         with pytest.raises(InputError, match=sentence):
-            scan3d.import_table(path, made(recording, ros))
-    other = written(tmp_path / "tf.bag", 1, log, "tf")
-    with pytest.raises(InputError, match=r"tf\.bag has no topic of PoseStamped; record one, or name the frames of tf"):
-        scan3d.import_table(other, made(recording, {}))
-    with pytest.raises(InputError, match=r"no chain from 'wrld' to 'clamp'.*; did you mean world"):
-        scan3d.import_table(other, made(recording, {"tf": ["wrld", "clamp"]}))
-    with pytest.raises(InputError, match=r"nothing moves between 'flange' and 'clamp' in tf"):
-        scan3d.import_table(other, made(recording, {"tf": ["flange", "clamp"]}))
-    several = written(tmp_path / "several", 2, log, "tf", static=(0, 1), parents=("flange", "camera"))
-    with pytest.raises(InputError, match=r"several: tf has 'clamp' in several frames, flange, camera, where one is"):
-        scan3d.import_table(several, made(recording, {"tf": ["world", "clamp"]}))
-    (tmp_path / "cut.bag").write_bytes((tmp_path / "tf.bag").read_bytes()[:50])
-    with pytest.raises(InputError, match=r"can't read the bag .*cut\.bag"):
-        scan3d.import_table(tmp_path / "cut.bag", made(recording, {}))
+            scan3d.import_table(tmp_path / name, made(recording, ros))
 
 
 def test_without_rosbags_the_message_says_what_to_install(tmp_path, recording, monkeypatch):
@@ -172,30 +164,30 @@ def test_what_a_killed_recorder_leaves(tmp_path, recording):
     assert np.array_equal(scan3d.import_table(tmp_path / "run", map).position_m, whole.position_m)
     (tmp_path / "run" / "run.db3").rename(tmp_path / "run" / "run_0.db3")
     shutil.copy(tmp_path / "run" / "run_0.db3", tmp_path / "run" / "other.db3")
-    with pytest.raises(InputError, match=r"several bags, other\.db3, run_0\.db3, where one is expected; name one"):
-        scan3d.import_table(tmp_path / "run", map)
     data = (tmp_path / "run" / "run_0.db3").read_bytes()
-    (tmp_path / "cut.db3").write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match=r"cut off, as when its recorder was killed: sqlite3 cut\.db3"):
-        scan3d.import_table(tmp_path / "cut.db3", map)
     with Writer2(tmp_path / "m", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         writer.add_connection("/ft", "geometry_msgs/msg/WrenchStamped", typestore=get_typestore(Stores.ROS2_HUMBLE))
-    (tmp_path / "cut.mcap").write_bytes((tmp_path / "m" / "m.mcap").read_bytes()[:-9])
-    with pytest.raises(InputError, match=r"killed: mcap recover cut\.mcap"):
-        scan3d.import_table(tmp_path / "cut.mcap", map)
+    mcap = (tmp_path / "m" / "m.mcap").read_bytes()
+    (tmp_path / "parts").mkdir()
     # of several files the one that is cut, and files under the names that a recorder gives them while it writes or compresses
-    parts = tmp_path / "parts"
-    parts.mkdir()
-    (parts / "m_0.mcap").write_bytes((tmp_path / "m" / "m.mcap").read_bytes())
-    (parts / "m_1.mcap").write_bytes((tmp_path / "cut.mcap").read_bytes())
-    with pytest.raises(InputError, match=r"mcap recover m_1\.mcap"):
-        scan3d.import_table(parts, map)
-    for name, command in (
+    for name, written_so_far in (
+        ("cut.db3", data[: len(data) // 2]),
+        ("cut.mcap", mcap[:-9]),
+        ("parts/m_0.mcap", mcap),
+        ("parts/m_1.mcap", mcap[:-9]),
+        ("x.bag.active", data),
+        ("x.db3.zstd", data),
+    ):
+        (tmp_path / name).write_bytes(written_so_far)
+    for name, sentence in (
+        ("run", r"several bags, other\.db3, run_0\.db3, where one is expected; name one"),
+        ("cut.db3", r"cut off, as when its recorder was killed: sqlite3 cut\.db3"),
+        ("cut.mcap", r"killed: mcap recover cut\.mcap"),
+        ("parts", r"mcap recover m_1\.mcap"),
         ("x.bag.active", r"mv x\.bag\.active x\.bag; rosbag reindex x\.bag"),
         ("x.db3.zstd", "zstd -d x"),
     ):
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(InputError, match=command):
+        with pytest.raises(InputError, match=sentence):
             scan3d.import_table(tmp_path / name, map)
 
 

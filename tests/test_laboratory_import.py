@@ -54,6 +54,18 @@ def imported(path, columns, data, **keywords):
     return convert(load(path, chosen), chosen)
 
 
+def tabled(recording, rig=EXACT):
+    """The continuous log of a recording, its table as a rig writes it, and the map of that."""
+    log = track(recording)
+    return log, table(log, rig), map_of(recording.rod, rig)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory, planar):
+    """What is imported of the planar recording without noise."""
+    return imported(tmp_path_factory.mktemp("plain") / "raw.csv", *tabled(planar)[1:])
+
+
 def six(recording):
     """(n, 6) reactions, zeros where they were not measured."""
     return np.hstack(six_axis(recording).wrench())
@@ -210,12 +222,10 @@ FILES_OF_ARRAYS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", FILES_OF_ARRAYS)
-def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
-    columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
+def test_files_of_arrays_give_the_same_recording(tmp_path, planar, plain, file):
+    _, columns, data = tabled(planar)
     writer, renamed = FILES_OF_ARRAYS[file]
     writer(tmp_path / file, columns)
-    write(tmp_path / "raw.csv", columns)
-    one = scan3d.import_table(tmp_path / "raw.csv", data)
 
     def named(value):
         new = renamed.get(value, value)
@@ -228,8 +238,8 @@ def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
             data["columns"][entry] = named(value) if isinstance(value, str) else [named(name) for name in value]
     data["table"] = {"header": 3} if file == "raw.xlsx" else {}
     other = scan3d.import_table(tmp_path / file, data)
-    assert other.position_m == pytest.approx(one.position_m, abs=1e-12)
-    assert other.force_N == pytest.approx(one.force_N, abs=1e-12)
+    assert other.position_m == pytest.approx(plain.recording.position_m, abs=1e-12)
+    assert other.force_N == pytest.approx(plain.recording.force_N, abs=1e-12)
     if file != "raw.npy":  # without names
         assert "columns" not in guess_map(tmp_path / file).open
     for data_in_it, why in ((b"PK\x03\x04 no such file", "can't read raw"), (b"", "can't read raw")):
@@ -240,11 +250,11 @@ def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rows", [6, 3])
-def test_signals_of_a_transducer(tmp_path, planar, rows):
+def test_signals_of_a_transducer(tmp_path, planar, plain, rows):
     """Bridges whose volts a matrix makes force and moment of."""
     random, rig = np.random.default_rng(3), EXACT if rows == 6 else Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    columns, data = table(track(planar), rig), map_of(planar.rod, rig)
-    expected = imported(tmp_path / "raw.csv", columns, data)
+    _, columns, data = tabled(planar, rig)
+    expected = plain if rig is EXACT else imported(tmp_path / "raw.csv", columns, data)
     wanted = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"] if rows == 6 else ["Fx", "Fy", "Tz"]
     matrix, offset = random.normal(size=(rows, rows)), random.normal(size=rows)
     values = np.stack([columns[name] for name in wanted], axis=1)
@@ -264,11 +274,9 @@ def test_signals_of_a_transducer(tmp_path, planar, rows):
         imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
 
 
-def test_arrays_that_nobody_named_and_arrays_with_a_row_for_each_channel(tmp_path, planar):
+def test_arrays_that_nobody_named_and_arrays_with_a_row_for_each_channel(tmp_path, planar, plain):
     """As of cameras that log beside the rod, and as MATLAB lays out."""
-    log = track(planar)
-    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
-    expected = imported(tmp_path / "raw.csv", columns, data).recording
+    _, columns, data = tabled(planar)
     cameras = {f"camera{k}": np.arange(50.0) for k in range(40)}
     places = {
         key: np.stack([columns.pop(name) for name in names])
@@ -279,8 +287,8 @@ def test_arrays_that_nobody_named_and_arrays_with_a_row_for_each_channel(tmp_pat
     data["columns"] |= {"position": [f"p_{k}" for k in range(3)], "force": w[:3], "moment": w[3:]}
     chosen = read_map(data)
     found = convert(load(tmp_path / "raw.npz", chosen), chosen).recording
-    assert np.array_equal(found.position_m, expected.position_m)
-    assert np.array_equal(found.moment_Nm, expected.moment_Nm)
+    assert np.array_equal(found.position_m, plain.recording.position_m)
+    assert np.array_equal(found.moment_Nm, plain.recording.moment_Nm)
 
 
 NUMBERED = {
@@ -293,8 +301,7 @@ NUMBERED = {
 
 @pytest.mark.parametrize("kind", NUMBERED)
 def test_numbers_that_come_again_or_stay_are_those_of_strokes(tmp_path, planar, kind):
-    log = track(planar)
-    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+    log, columns, data = tabled(planar)
     number = NUMBERED[kind](np.where(log.row >= 0, planar.sweep[log.row], -1))
     data["columns"]["sweep"] = "n"
     found = imported(tmp_path / "raw.csv", columns | {"n": number}, data)
@@ -305,8 +312,7 @@ def test_numbers_that_come_again_or_stay_are_those_of_strokes(tmp_path, planar, 
 
 @pytest.mark.parametrize("given", ["sweep", "move", "both"])
 def test_columns_of_sweeps_and_moves_are_used_where_they_are(tmp_path, planar, given):
-    log = track(planar)
-    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+    log, columns, data = tabled(planar)
     if given in ("sweep", "both"):
         columns["n"] = np.where(log.row >= 0, planar.sweep[log.row], -1) if given == "sweep" else planar.sweep[log.row]
         data["columns"]["sweep"] = "n"
@@ -350,13 +356,11 @@ def test_stretches_in_the_air_can_be_given(tmp_path, longer):
     assert np.abs(six(found.recording) - six(longer)[rows]).max() < 1e-12
 
 
-def test_rows_that_stand_twice_count_once(tmp_path, planar):
-    log, data = track(planar), map_of(planar.rod, EXACT)
-    columns = table(log, EXACT)
-    once = imported(tmp_path / "once.csv", columns, data)
+def test_rows_that_stand_twice_count_once(tmp_path, planar, plain):
+    log, columns, data = tabled(planar)
     twice = imported(tmp_path / "twice.csv", {name: np.repeat(column, 2) for name, column in columns.items()}, data)
-    assert np.array_equal(six(twice.recording), six(once.recording))
-    assert twice.summary.rate_hz == pytest.approx(once.summary.rate_hz)
+    assert np.array_equal(six(twice.recording), six(plain.recording))
+    assert twice.summary.rate_hz == pytest.approx(plain.summary.rate_hz)
     assert twice.summary.left_out["repeated"] == len(log.row)
     assert f"{len(log.row):,} rows stand twice" in twice.summary.notes[0]
 
@@ -376,8 +380,7 @@ def test_a_tared_table_without_time_is_taken_as_it_is(tmp_path, planar):
 @pytest.mark.parametrize("channels", [3, 4, 5])
 def test_sensors_with_fewer_channels_give_planar_recordings(tmp_path, planar, channels):
     rig = Rig((0.0, 0.0, 25.0), (4.0, -20.0, 3.0))
-    log = track(planar)
-    columns, data = table(log, rig), map_of(planar.rod, rig)
+    log, columns, data = tabled(planar, rig)
     data["columns"]["force"] = ["Fx", "Fy", "Fz"] if channels == 4 else ["Fx", "Fy"]
     data["columns"]["moment"] = ["Tx", "Ty", "Tz"] if channels == 5 else ["Tz"]
     found = imported(tmp_path / "raw.csv", columns, data)
@@ -397,8 +400,7 @@ def with_columns(data, **entries):
 def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_the_map_says_otherwise(
     tmp_path, planar, rig
 ):
-    log = track(planar)
-    columns, data = table(log, rig), map_of(planar.rod, rig)
+    log, columns, data = tabled(planar, rig)
     to_world = Rotation.from_quat(log.quaternion, scalar_first=True) * Rotation.from_euler("xyz", rig.turn_deg, True)
     turned = dict(columns)
     for names in (["Fx", "Fy", "Fz"], ["Tx", "Ty", "Tz"]):
@@ -417,18 +419,15 @@ def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_th
 
 
 @pytest.mark.slow
-def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar):
-    log, late = track(planar), 7
-    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar, plain):
+    (_, columns, data), late = tabled(planar), 7
     shifted = {name: np.roll(one, late) if name[0] in "FT" else one for name, one in columns.items()}
-    right = imported(tmp_path / "a.csv", columns, data)
     found = imported(tmp_path / "b.csv", shifted, with_columns(data, wrench_delay_s=late / 1000))
     assert found.summary.left_out["without numbers"] == late
     rows = slice(len(found.recording))
-    assert six(found.recording) == pytest.approx(
-        six(right.recording)[rows], abs=1e-6 * np.abs(six(right.recording)).max()
-    )
-    assert found.recording.position_m == pytest.approx(right.recording.position_m[rows])
+    right = six(plain.recording)
+    assert six(found.recording) == pytest.approx(right[rows], abs=1e-6 * np.abs(right).max())
+    assert found.recording.position_m == pytest.approx(plain.recording.position_m[rows])
     data = with_columns(data, wrench_delay_s=0.1)
     del data["columns"]["time"]
     with pytest.raises(InputError, match="wrench_delay_s of the map needs the time of the rows"):
@@ -497,9 +496,9 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
 
 
 @pytest.mark.slow
-def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, longer):
-    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(longer, air=150), RIG_WITH_NOISE)))
-    data = map_of(longer.rod, RIG_WITH_NOISE)
+def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
+    (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(planar, air=150), RIG_WITH_NOISE)))
+    data = map_of(planar.rod, RIG_WITH_NOISE)
     full = scan3d.import_table(tmp_path / "long.parquet", data)
     data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
     raw = load(tmp_path / "long.parquet", read_map(data))

@@ -105,7 +105,6 @@ def test_what_can_not_be_plotted(recording, cloud, surface, monkeypatch):
     for what, options, sentence in (
         ([1, 2], {}, r"only a recording, a cloud or a surface \(trimesh.Trimesh\) can be plotted, got a list"),
         (surface, dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
-        (surface, dict(view="cloud"), "the surface has no contacts"),
         (cloud, dict(color="error"), "the error of the contacts of the cloud is not known"),
         (cloud, dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
         (surface, dict(truth=CUBE), "truth must be a trimesh.Trimesh.*load_mesh.*got a \\w+Path"),

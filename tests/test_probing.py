@@ -163,11 +163,14 @@ def _recording(mesh, rod, rng, *, noise=0.0, model="spatial", friction=0.3, grav
     return recorded_probings(mesh, _moves(mesh, rng, samples, length), plan, rod, length, int(rng.integers(1000)))
 
 
-@pytest.mark.parametrize(("name", "model"), [(name, model) for name in RODS for model in ("planar", "spatial")])
+# gravity leaves the planes of the planar model
+@pytest.mark.parametrize(
+    ("name", "model"), [*((name, "planar") for name in list(RODS)[:3]), *((n, "spatial") for n in RODS)]
+)
 def test_contacts_of_probings_lie_on_the_body_and_their_lines_outside(name, model):
     rng = np.random.default_rng(2)
     gravity = Gravity((0.2, -0.3, -1.0), tared=True) if name == "heavy" else None
-    for mesh in _bodies(rng) if not (gravity and model == "planar") else ():  # where gravity leaves the planes
+    for mesh in _bodies(rng):
         recording = _recording(mesh, RODS[name], rng, model=model, gravity=gravity, friction=(0.0, 0.6))
         cloud = scan3d.reconstruct(recording, model=model)
         assert cloud.probed.all()
@@ -360,7 +363,7 @@ def test_the_clamp_stays_outside_of_the_body():
 @pytest.mark.slow
 def test_a_scan_of_a_hollow_body_reaches_into_it_and_says_what_it_touched():
     body = trimesh.creation.annulus(r_min=8, r_max=11, height=20, sections=24)
-    result = scan3d.scan(body, slices=32, samples=24, friction=(0.0, 0.4))
+    result = scan3d.scan(body, slices=24, samples=24, friction=(0.0, 0.4))
     report = result.report
     counts, coverage = report["counts"], report["coverage"]
     assert 0 < counts["probings"] < counts["sweeps"]
@@ -381,7 +384,7 @@ def test_a_rig_probes_a_body_round_after_round():
     session = scan3d.Session("cylinder:26x14", rod=Rod.of_length(0.045).without_thickness(), probing=True)
     known = []
     for _ in range(3):
-        poses = session.ask(sweeps=24)
+        poses = session.ask(sweeps=16)
         log = rig.simulate_rig(body, poses, friction=(0.0, 0.4))
         session.tell(log.recording())
         known.append(session._known.any_shape.coverage["known"])
@@ -435,7 +438,7 @@ def test_a_sweep_of_poses_is_either_swept_or_probed():
 
 
 @pytest.mark.slow
-def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path):
+def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path, no_pictures):
     """They were unknown in the cloud of an opened folder, and probings were counted as sweeps in a slice of their own."""
     mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
     made = scan3d.scan(mesh, slices=6, samples=16, known=0.5)
@@ -452,7 +455,7 @@ def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path):
 def test_a_stop_force_that_pushes_the_end_off_is_told():
     body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     for force, told in ((0.3, True), (0.01, False)):
-        rows = dict(scan3d.scan(body, slices=4, probing="only", stop_force=force).summary())
+        rows = dict(scan3d.scan(body, slices=2, probing="only", stop_force=force).summary())
         assert ("unresolved" in rows) == told, rows
 
 

@@ -90,6 +90,7 @@ def test_a_reach_that_the_waist_does_not_have_is_refuted():
     assert found.unbounded is None
 
 
+@functools.cache
 def two_balls(noise=0.0):
     """Radius, in mm, of two balls with a fillet of 8 mm between them; circles of 15 mm, 16 mm apart."""
     ball, fillet, half = 15.0, 8.0, 8.0

@@ -11,6 +11,7 @@ import planar
 from scan3d import Recording, Rod, read_recording, reconstruct, write_recording
 from scan3d.files.recordings import COLUMNS
 from tests import rigs
+from tests.rig_errors import typical
 
 HEADER = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm"
 ROW = "0,0.1,0.2,0.3,1,0,0,0,-0.01,0.02,0.0005"
@@ -50,12 +51,14 @@ SIX = dict(
 )
 NOISE = dict(noise_force_N=0.1 / 3, noise_moment_Nm=1e-9 / 3, noise_independent=False)
 SOURCE = dict(unit="um", source={"rig": 'No. 3 "old"', "seed": 4, "µ": [0.1, 0.2]})
+PLACE = dict(table_m=-0.0125, rig=dataclasses.replace(typical(), exact=("length_m",)))
+THICK = Rod(1 / 3, 1e-4 / 3, 1e-3, bead_diameter_m=4e-3)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 @pytest.mark.parametrize(
     "given",
-    [NOISE | SOURCE, dict(n=3, rod=Rod(1 / 3, 1e-4 / 3, 1e-3)) | SIX, dict(rod=Rod.wire(0.05, 0.3e-3, 210e9))],
+    [NOISE | SOURCE | PLACE, dict(n=3, rod=THICK) | SIX, dict(rod=Rod.wire(0.05, 0.3e-3, 210e9))],
     ids=["noisy", "in space", "of a wire"],
 )
 def test_what_was_written_is_read_bit_for_bit(tmp_path, given, ending):
@@ -83,17 +86,14 @@ def test_a_recording_by_hand(tmp_path):
 @pytest.mark.parametrize(
     "table",
     [
-        f"{HEADER}\r\n{ROW}\r\n",
         " , ".join(COLUMNS) + "\n" + ROW.replace(",", " , ") + "\n",
-        f"\ufeff{HEADER}\n{ROW}",
         f"{HEADER}\n\n{ROW}\n\n",
         f"t_s,{HEADER},temperature,fz_raw,my_raw\n0.5,{ROW},1,2,3\n",
         f"{HEADER},time,note\n{ROW},2024-05-01T10:00:00,\n",
         "mz_Nm,fy_N,fx_N,qz,qy,qx,qw,z_m,y_m,x_m,sweep\n" + ",".join(reversed(ROW.split(","))),
         HEADER + "\n" + ROW.replace("0.1", "1.0E-1").replace("0,0.1", "0.0,0.1"),
-        HEADER.replace("sweep", '"sweep"') + "\n" + ROW.replace("0.1", '"0.1"') + "\n",
     ],
-    ids=["windows", "spaces", "spreadsheet", "empty lines", "more", "more, not numbers", "order", "notation", "quotes"],
+    ids=["spaces", "empty lines", "more", "more, not numbers", "order", "notation"],
 )
 def test_other_programs_tables(tmp_path, table):
     plain, other = tmp_path / "plain", tmp_path / "other"

@@ -34,17 +34,6 @@ def recording():
     return swept(body(3))
 
 
-def test_a_recording_keeps_its_table(recording, tmp_path):
-    assert recording.table_m == 0.0
-    moved = dataclasses.replace(recording, table_m=-0.0125)
-    scan3d.write_recording(moved, tmp_path / "log.csv")
-    assert scan3d.read_recording(tmp_path / "log.csv").table_m == -0.0125
-    assert "table_height_m = -0.0125" in (tmp_path / "log.toml").read_text()
-    scan3d.write_recording(dataclasses.replace(recording, table_m=None), tmp_path / "log.csv")
-    assert "table" not in (tmp_path / "log.toml").read_text()
-    assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     mesh = body(seed)

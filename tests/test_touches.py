@@ -100,7 +100,7 @@ def test_bodies_of_any_shape(name):
     assert scan3d.compare(surface, mesh).hausdorff < 0.05 * size
 
 
-def test_touches_that_the_surface_lacks_are_told(call, tmp_path):
+def test_touches_that_the_surface_lacks_are_told(call, tmp_path, no_pictures):
     """A bent sheet that is thinner than touches are apart."""
     sheet = trimesh.boolean.union(
         [trimesh.creation.box((60, 40, 0.36)), trimesh.creation.box((0.36, 40, 30)).apply_translation((29.8, 0, 15))],
@@ -124,7 +124,7 @@ def test_normals_that_point_inwards_are_turned_and_mixed_ones_refused():
         scan3d.touches(points, normals * np.where(np.arange(200) % 2, 1, -1)[:, None])
 
 
-def test_errors_that_are_not_stated_take_the_certificate_back(call, tmp_path):
+def test_errors_that_are_not_stated_take_the_certificate_back(call, tmp_path, no_pictures):
     """Wrong normals contradict the places; wrong places are those of no convex body."""
     mesh = random_body(1)
     points, normals = touched(mesh, 400, 0, 0.0, 0.05)
@@ -262,7 +262,7 @@ def test_errors_that_are_stated_in_part_are_told(tmp_path):
             scan3d.touches(20 * normals, **more)
 
 
-def test_clouds_of_several_rods_are_one(tmp_path):
+def test_clouds_of_several_rods_are_one(tmp_path, no_pictures):
     rng, paths = np.random.default_rng(0), []
     normals = rng.normal(size=(600, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -331,7 +331,7 @@ def crossed(mesh, places, outward):
     return (begin - enters.max(axis=1)[:, None] * outward)[hits], planes[first, :3][hits]
 
 
-def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsys):
+def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsys, no_pictures):
     mesh, count = hull(random_body(3).vertices), 60
     points, normals = touched(mesh, count, 0)
     columns, out, places = "x_mm,y_mm,z_mm,nx,ny,nz", tmp_path / "out", tmp_path / "places.csv"
@@ -355,7 +355,7 @@ def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsy
     assert "has 0 touches with normals" in capsys.readouterr().err
 
 
-def test_next_names_what_touches_of_a_body_that_is_not_convex_leave_unknown(tmp_path):
+def test_next_names_what_touches_of_a_body_that_is_not_convex_leave_unknown(tmp_path, no_pictures):
     mesh = scan3d.load_mesh(MESHES / "hollow" / "mug.stl")
     points, normals = touched(mesh, 3000, 0)
     seen = points[:, 0] < np.quantile(points[:, 0], 0.8)

@@ -182,13 +182,13 @@ def test_sweeps_are_cut_where_rows_were_not_measured():
 
 # --- logs and recordings ---
 
-QUICK = [("none", True), ("none", False), ("stopped", True), ("zeros", True), ("saturated", True), ("jumps", True)]
+QUICK = [("none", True), ("none", False), ("stopped", True)]
 
 
 @pytest.mark.parametrize(
     ("name", "of_log"),
     [
-        pytest.param(name, of_log, marks=[] if (name, of_log) in QUICK[:3] else pytest.mark.slow)
+        pytest.param(name, of_log, marks=[] if (name, of_log) in QUICK else pytest.mark.slow)
         for name in FAULTS
         for of_log in (True, False)
     ],
