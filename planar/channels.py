@@ -160,7 +160,7 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
     from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
 
     # neighbours together, for rods under small forces are marched in few steps
-    parts = np.array_split(tried, np.ceil(len(tried) * len(a) / BLOCK))
+    parts = np.array_split(tried, max(np.ceil(len(tried) * len(a) / BLOCK), 1))
     columns = [residual(part, a[:, None], b[:, None], known[:, None]) for part in parts]
     values = np.concatenate(columns, axis=1)
     row, k = np.nonzero(values[:, :-1] * values[:, 1:] < 0)
@@ -534,7 +534,8 @@ def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | Non
     """Arc length s1 of the first contact of a sweep in which the moment rises from the first row (n,) on, and its standard
     deviation: by the rows up to that of three times the first moment, by what a part of them would change, and by the bending.
 
-    NaN where the contact may be at the tip, where the rod is bent from the first row on, and of less than three rows.
+    NaN where the contact may be at the tip, where the rod is bent from the first row on, of less than three rows, and of a
+    clamp that stays.
     Raises ValueError as `touched_at`.
     """
     if len(moment) < 3:
@@ -544,6 +545,8 @@ def by_push(frames: Frames, moment: Array, *, noise: float = 0.0, rod: Rod | Non
     last = min(max(last, 2), len(moment) - 1)
     rows = np.array([last, (last + 1) // 2])
     way = np.abs((frames.place[rows] - frames.place[0]) @ frames.axes[last, 0])
+    if not way.all():
+        return np.nan, np.nan
     rate, error = (moment[rows] - moment[0]) / way, np.sqrt(2) * noise / way[0]
     s1, part, near, far = touched_at(np.maximum([*rate, rate[0] + error, rate[0] - error], 0.0), rod=rod)
     bent = moment[[0, last]] * s1 / 2  # slope of the rod at the contact

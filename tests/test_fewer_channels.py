@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import planar
+from planar.channels import Frames, by_push
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 CONE = planar.Rod(tip_diameter=0.5)
@@ -128,6 +129,13 @@ def test_single_touches_are_located_by_a_push():
         planar.touched_at(-1 / (s1 / 3 * s1 + 0.05 * s1), rod=planar.Rod(compliance=0.05)), s1, atol=1e-6
     )
     assert np.isnan(planar.touched_at(2.9)).all()
+    rows = np.zeros((5, 2))
+    still = Frames(np.zeros(5, dtype=int), rows, np.tile(np.eye(2), (5, 1, 1)), rows)
+    assert np.isnan(by_push(still, np.linspace(0.1, 0.5, 5), noise=1e-4)).all()
+
+
+def test_of_no_rows_nothing_is_completed():
+    assert len(planar.complete([], [], [], None, friction=0.3).roots) == 0
 
 
 # bending stiffness that falls to a twelfth, as that of beams made for such sensors

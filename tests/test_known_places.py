@@ -158,6 +158,7 @@ def test_from_counts_to_contacts(tmp_path, capsys, space):
         ("touch,x_mm\n0,5\n", "line 2 does not tell how the rod is bent"),
         ("touch,x_mm,y_mm\n0,5,-30\n", "not in front of the clamp"),
         ("touch,x_mm,y_mm\n99,5,30\n", "has no row with the same touch in the log"),
+        ("touch,x_mm,y_mm\n0,5,30\n0,6,30\n", "line 3 has the touch 0 again; leave one of the two out"),
         ("x_mm,y_mm\n5,30\n", "does not tell which of the 880 rows"),
         ("touch,x_mm,y_mm\n0,5,100\n", "no rod of 0.06 m touches at place 1 of 1"),
     ],

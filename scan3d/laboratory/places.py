@@ -99,8 +99,12 @@ def _named(table: Table) -> tuple[str, ...]:
 def _rows(log: Table, places: Table, time: str) -> Sequence[Index]:
     """The rows of the log of each touch.  Raises InputError where the table does not tell."""
     if shared := next((name for name in ("touch", "sweep") if name in log.names and name in places.names), None):
-        of_row = np.array(log.text(log.names.index(shared)))
-        found = [np.flatnonzero(of_row == name) for name in places.text(places.names.index(shared))]
+        of_row, touches = np.array(log.text(log.names.index(shared))), places.text(places.names.index(shared))
+        if twice := [k for k, name in enumerate(touches) if name in touches[:k]]:
+            raise InputError(
+                f"{places.place(twice[0])} has the {shared} {touches[twice[0]]} again; leave one of the two out"
+            )
+        found = [np.flatnonzero(of_row == name) for name in touches]
         told = f"the same {shared} in the log"
     elif {"from_s", "to_s"} <= {*places.names}:
         time = time or next((name for name in _OTHERS[_OTHERS.index("t") :] if name in log.names), "t_s")
