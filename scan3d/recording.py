@@ -606,15 +606,13 @@ class Known:
 
         Raises InputError for channels that do not tell.
         """
-        found = np.zeros(len(reactions[self.channel]))
-        if not len(rows):  # nothing touches
-            return found
         f0x, f0y, m0z = (None if name == self.channel else reactions[name][rows] for name in REACTIONS)
         told: dict[str, Any] = {"tip": True} if self.friction is None else {"friction": self.friction}
         try:
             done = planar.complete(np.zeros(len(rows)), f0x, f0y, m0z, **told, direction=direction, rod=rod)
         except ValueError as error:
             raise InputError(str(error)) from None
+        found = np.zeros(len(reactions[self.channel]))
         found[rows] = getattr(done.reactions, self.channel)
         return found
 
