@@ -25,8 +25,9 @@ from scan3d.report import report, summary
 from scan3d.rods import Gravity, Rod
 from scan3d.simulation import rig
 from scan3d.simulation.probing import felt_along, recorded_probings
+from scan3d.spatial import inverse
 from scan3d.spatial.bodies import sphere_directions
-from scan3d.spatial.march import shapes
+from scan3d.spatial.march import SpatialRod, shapes
 from tests.robustness.probing import signed
 
 
@@ -279,6 +280,14 @@ def test_probed_contacts_lie_within_their_stated_errors(name, model, noise):
     scaled = across / np.sqrt(values[:, 1:] if model == "spatial" else values[:, 2:])
     assert 0.93 < (np.abs(scaled) < 1.96).mean() < 0.97
     assert 0.93 < scaled.std() < 1.07
+
+
+@pytest.mark.parametrize("size", [1e3, 1e8, 1e30])
+def test_reactions_that_no_rod_has_give_no_contact(size):
+    """Numbers overflow along the way, without a warning."""
+    reactions = size * np.random.default_rng(8).normal(size=(6, 5))
+    found = inverse.at_ends(reactions[:3], reactions[3:], (0.0, 0.0), rod=SpatialRod())
+    assert not (found.chance > 0).any()
 
 
 def test_a_rod_that_is_touched_elsewhere_than_at_its_end_gives_no_contact():

@@ -122,9 +122,10 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
 
     def marched(rows: Index | slice, steps: int) -> Ends:
         state = start[:, rows]
-        for at, end in pairwise(grid(rod.profile, steps).tolist()):
-            state = _step(rod, state, at, end - at)
-        return Ends(state[_R], _rotated(state[_Q], state[_M]), steps)
+        with np.errstate(all="ignore"):  # reactions of no rod overflow
+            for at, end in pairwise(grid(rod.profile, steps).tolist()):
+                state = _step(rod, state, at, end - at)
+            return Ends(state[_R], _rotated(state[_Q], state[_M]), steps)
 
     # rods that are touched at their ends may be bent so little that one step is enough
     if steps is None:
