@@ -23,6 +23,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import is_convex, runs_both_ways
 from scan3d.geometry.sections import slice_frame, slice_outlines
 from scan3d.pictures.parts import shown_sweep
+from scan3d.recording import of_rows
 from tests.robustness.everyday import cut, mesh_of
 
 FLAT = np.eye(3)
@@ -188,6 +189,11 @@ def test_a_contact_without_another_nearby_is_none_where_friction_tells_nothing()
     cloud = scan3d.reconstruct(recording)
     assert len(cloud) > 300
     assert np.abs(nearest(cloud.points, mesh)[0]).max() < 1e-9 * cloud.rod_length
+    # nor does one next to contacts of other sweeps tell whether it is that of a second place, where its own has no other
+    rows = np.flatnonzero(recording.sweep == recording.sweep[cloud.row[0]])
+    lone = scan3d.reconstruct(of_rows(recording, np.setdiff1d(np.arange(len(recording)), rows[rows != cloud.row[0]])))
+    assert len(lone) > 250
+    assert not (np.linalg.norm(lone.points - cloud.points[0], axis=1) < 1e-9).any()
     # noise hides the second contact in the rows beside
     cloud = scan3d.reconstruct(scan3d.simulate(mesh, replace(plan, sweeps=None, noise=1e-3, seed=1)))
     assert (np.abs(nearest(cloud.points, mesh)[0]) > 5 * cloud.place_sd).mean() <= 0.005

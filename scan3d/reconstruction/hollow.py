@@ -101,9 +101,15 @@ class _Rows:
         return refused
 
     def alone(self) -> Mask:
-        """(n,) contacts next to which no other row has one: nothing confirms that they are those of single ones."""
+        """(n,) contacts next to which no other row has one, and those that are the only ones of their sweep.
+
+        Nothing confirms that they are those of single ones.
+        """
         steps = np.concatenate([np.abs(np.diff(self.columns[0][sweep])) for sweep in self.sweeps])
-        return self._unconfirmed(self.touching, self.touching, 5.0 * float(np.median(steps)) if len(steps) else 0.0)
+        found = self._unconfirmed(self.touching, self.touching, 5.0 * float(np.median(steps)) if len(steps) else 0.0)
+        for sweep in self.sweeps:
+            found[sweep] |= self.touching[sweep].sum() == 1
+        return found & self.touching
 
     def beside(self, wrong: Mask) -> Mask:
         """(n,) contacts next to a wrong one of their sweep, with no other contact where they are.
