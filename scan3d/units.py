@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from numbers import Real
 from typing import Any, Literal
 
@@ -214,10 +214,14 @@ def unit_for(largest: float, unit: str) -> tuple[str, Decimal]:
 
 
 def volume(value: float, low: float, high: float, unit: str) -> str:
-    """A volume, given in `unit` cubed, with an interval that contains that of the body: ``13,190 ± 4 mm³``."""
+    """An interval that contains the volume of the body, given in `unit` cubed: ``13,190 ± 4 mm³``; or ``94 to 990 mm³``."""
     symbol, size = unit_for(2 * abs(value) ** (1 / 3), unit)  # not 0.5 mm³ in µm³
     factor = (Decimal(str(UNITS_M[unit])) / size) ** 3
-    return f"{plus_minus(*(float(factor * _decimal(part)) for part in (value, low, high)))} {symbol}³"
+    given, below, above = (factor * _decimal(part) for part in (value, low, high))
+    if above.is_finite() and above > 2 * given:  # ± would reach below nothing
+        place = _exponent(above) - 1
+        return f"{_rounded(below, place, ROUND_FLOOR):,f} to {_rounded(above, place, ROUND_CEILING):,f} {symbol}³"
+    return f"{plus_minus(float(given), float(below), float(above))} {symbol}³"
 
 
 def plus_minus(value: float, low: float, high: float) -> str:

@@ -147,9 +147,10 @@ def test_one_command_from_points_to_a_certificate(call, tmp_path):
     mesh = random_body(5)
     points, normals = touched(mesh, 500, 3)
     path = tmp_path / "ball.xyz"
-    np.savetxt(path, np.hstack([points, normals]))
-    code, out, _ = call("surface", path)
+    np.savetxt(path, np.hstack([points, -normals]))
+    code, out, err = call("surface", path)
     assert code == 0
+    assert "point inwards: all are turned round" in err
     assert "certified from touch" in out
     result = scan3d.open(tmp_path / "ball-scan")
     assert convex_hausdorff(hull(result.surface.vertices), mesh) <= result.certificate.bound

@@ -348,6 +348,7 @@ def surface(
     from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
     from scan3d.files.points import read_all_points
+    from scan3d.files.shapes import NORMAL
     from scan3d.results import touches
     from scan3d.surfaces.open3d_methods import check_method
 
@@ -359,6 +360,8 @@ def surface(
         if file.left_out:
             output.progress.say(f"rows without a place in {file.name}: {file.left_out}, left out")
         cloud = touches(file, place_sd=place_sd, normal_sd=normal_sd, unit=unit, table=table)
+        if (normals := file.stacked(NORMAL)) is not None and ((normals * cloud.normals).sum(axis=1) < 0).any():
+            output.progress.say(f"normals of {file.name} point inwards: all are turned round")
         return cloud, None if truth is None else load_mesh(truth, hull=hull, unit=cloud.unit)
 
     _, data = pipeline.reconstruct(
