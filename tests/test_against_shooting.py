@@ -10,6 +10,8 @@ import shooting
 
 import planar
 
+pytestmark = pytest.mark.slow
+
 AGREES = 1e-10
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
@@ -40,7 +42,6 @@ def states_by_continuation(contour, friction, swept):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("contour", [CIRCLE, ELLIPSE], ids=["circle", "ellipse"])
-@pytest.mark.slow
 def test_smooth_contours(contour, friction):
     events = planar.events(contour, friction)
     swept = planar.sweep(contour, friction, base=np.linspace(events.x0[0] - 0.01, events.x0[-1] + 0.005, 24))
@@ -50,7 +51,6 @@ def test_smooth_contours(contour, friction):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-@pytest.mark.slow
 def test_a_polygon_of_seven_sides(friction):
     swept = planar.sweep(HEPTAGON, friction, samples=30)
     vertices = HEPTAGON.vertices
@@ -78,7 +78,6 @@ def test_a_polygon_of_seven_sides(friction):
     assert {(planar.Phase.TIP, False), (planar.Phase.TANGENTIAL, False), (planar.Phase.TANGENTIAL, True)} <= seen
 
 
-@pytest.mark.slow
 def test_collocation():
     # the same problems by scipy.integrate.solve_bvp: its tolerance of 1e-8 holds for the defect; reactions are less accurate
     events = planar.events(CIRCLE, 0.3)

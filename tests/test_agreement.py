@@ -19,6 +19,8 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import joined, of_rows
 from tests.robustness import bounds
 
+pytestmark = pytest.mark.slow
+
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
 RASTER = {"directions": 5, "heights": 6, "substeps": 2}
 
@@ -64,7 +66,6 @@ def test_a_wrong_recording_is_remarked_on(egg, fault, undiagnosed):
     assert remarks(FAULTS[fault](egg))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "names", "slices", "samples", "most"),
     [
@@ -82,13 +83,11 @@ def test_wrong_recordings_are_remarked_on(noise, names, slices, samples, most, u
     assert len(missed) <= most, missed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", IN_SPACE)
 def test_wrong_recordings_in_space_are_remarked_on(right, fault, undiagnosed):
     assert remarks(changed(right, IN_SPACE[fault]))
 
 
-@pytest.mark.slow
 def test_a_body_that_is_not_convex_contradicts_the_model(undiagnosed):
     """Two boxes in one recording: the second stands in the hollow that the contacts of the first leave."""
     plan = scan3d.Plan(slices=6, samples=40, friction=0.3, rod=scan3d.Rod.of_length(0.03))
@@ -136,7 +135,6 @@ def test_rounded_recordings_in_space_are_not_remarked_on(right, digits, undiagno
     assert remarks(changed(right, lambda f, m: (np.round(f / step) * step, np.round(m / step * 20) * step / 20))) == []
 
 
-@pytest.mark.slow
 def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys, no_pictures, egg):
     scan3d.write_recording(FAULTS["fy of the other sign"](egg), tmp_path / "wrong.csv")
     arguments = ["reconstruct", str(tmp_path / "wrong.csv"), "--method", "hull"]

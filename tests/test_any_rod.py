@@ -104,6 +104,7 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
         np.testing.assert_allclose(-force + weight, [swept.f0x[i], swept.f0y[i]], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "friction", "curvature"), [(8, 0.3, -0.6), (2, 0.4, -0.6), (4, 0.4, -1.0)])
 def test_rods_that_curve_far_away_from_the_body_are_found(radius, friction, curvature):
     rod = Rod(tip_diameter=1 / 6, curvature=curvature)
@@ -199,6 +200,7 @@ def test_sweeps_are_reconstructed(contour, rod, direction):
     assert (contacts.friction_angle_bound[tip] < np.arctan(friction[tip]) + 1e-7).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", [*RODS, Rod(tip_diameter=0.1), Rod(curvature=0.2)])
 def test_sweeps_touch_from_touch_down_to_their_end(rod):
     polygons = [HEXAGON, planar.Polygon(HEXAGON.vertices * [0.4, 0.8])]
@@ -307,6 +309,7 @@ def test_rows_may_have_a_gravity_each():
             call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curvature", [-1.0, 0.3, 1.0])
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_no_rod_lies_in_the_contour(curvature, direction):
@@ -331,6 +334,7 @@ def test_no_rod_lies_in_the_contour(curvature, direction):
     assert (unresolved > 0) == (curvature * direction < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", [Rod(tip_diameter=0.6), STEPPED, Rod(compliance=0.05)])
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_events_are_where_sweeps_change(rod, direction):

@@ -21,6 +21,8 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import of_rows
 from scan3d.surfaces.any_shape import any_shape
 
+pytestmark = pytest.mark.slow
+
 HEIGHTS = np.linspace(-24.5, 24.5, 17)
 
 
@@ -170,7 +172,6 @@ def parts():
     return [(part, scan3d.reconstruct(part)) for part in (of_rows(recording, recording.sweep < 36), recording)]
 
 
-@pytest.mark.slow
 def test_aimed_sweeps_reach_into_the_bay(parts):
     before, after = (outer_contours(sheets_of(*part), part[1]).distance.max() for part in parts)
     assert after < 0.9 * before
@@ -179,7 +180,6 @@ def test_aimed_sweeps_reach_into_the_bay(parts):
     assert after < 0.4 * before
 
 
-@pytest.mark.slow
 def test_aims_point_at_the_widest_stretch(parts):
     recording, cloud = parts[0]
     sheets, found = sheets_of(recording, cloud), aims(recording, cloud)
@@ -196,7 +196,6 @@ def test_aims_point_at_the_widest_stretch(parts):
     assert near.origin @ direction == pytest.approx((letter_l().vertices[:, :2] @ direction).min() - 0.5)
 
 
-@pytest.mark.slow
 def test_a_session_probes_a_body_that_is_not_convex(parts):
     recording, _ = parts[0]
     moved = replace(recording, position_m=recording.position_m - np.array([1e-3, 1e-3, 0.0]))

@@ -162,6 +162,7 @@ def test_grids_that_can_not_be_used(call, tmp_path, text, sentence):
 # --- what a batch writes ---
 
 
+@pytest.mark.slow
 def test_the_summary_has_a_row_for_each_run(serial):
     out, done = serial
     assert isinstance(done, scan3d.Batch)

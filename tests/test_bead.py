@@ -26,6 +26,8 @@ from scan3d.simulation import rig
 from scan3d.simulation.probing import recorded_probings
 from tests.robustness.probing import signed
 
+pytestmark = pytest.mark.slow
+
 BEAD = 2.0
 """Radius, in mm."""
 ROD = Rod(0.05, 1e-4, bead_diameter_m=2e-3 * BEAD)
@@ -91,7 +93,6 @@ def test_balls_stop_where_they_first_touch_faces_edges_or_corners():
         assert signed(mesh, path.reshape(-1, 3)).min() > radius - 1e-12 * size
 
 
-@pytest.mark.slow
 def test_contacts_of_a_bead_lie_on_the_body_and_its_centres_as_far_away_as_it_is_thick():
     rng = np.random.default_rng(1)
     for mesh in bodies(rng):
@@ -112,7 +113,6 @@ def test_contacts_of_a_bead_lie_on_the_body_and_its_centres_as_far_away_as_it_is
         assert signed(mesh, passed.places(1.0)).min() > BEAD - 0.01 / 3 * size
 
 
-@pytest.mark.slow
 def test_errors_of_a_bead_are_those_of_its_centre_and_of_where_it_is_touched():
     mesh = trimesh.creation.icosphere(4, radius=12.0)
     cloud = scan3d.reconstruct(recording_of(mesh, noise=1e-4))
@@ -126,7 +126,6 @@ def test_errors_of_a_bead_are_those_of_its_centre_and_of_where_it_is_touched():
     assert (cloud.bead_sd < cloud.place_sd).all()
 
 
-@pytest.mark.slow
 def test_a_body_of_any_shape_lies_where_no_bead_has_passed(coarse):
     rng = np.random.default_rng(2)
     for noise, mesh in zip((0.0, 1e-4, 0.0), bodies(rng), strict=True):
@@ -204,7 +203,6 @@ def test_report_and_summary_say_what_a_bead_proves(coarse):
     ]
 
 
-@pytest.mark.slow
 def test_a_reach_and_a_bead_add_up(coarse):
     mesh = trimesh.creation.torus(10, 4, major_sections=96, minor_sections=48)
     recording = recording_of(mesh)

@@ -6,6 +6,8 @@ import pytest
 
 from tests.robustness import bounds
 
+pytestmark = pytest.mark.slow
+
 
 def wrong(seeds, **limits):
     """Failures of the draws of some seeds, but for those that are to be expected."""
@@ -22,7 +24,6 @@ def test_some_scans_are_as_stated():
     assert wrong(range(5), most=(8, 24)) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seeds", "limits"),
     [
@@ -37,7 +38,6 @@ def test_scans_are_as_stated(seeds, limits):
     assert wrong(seeds, **limits) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("part", [pytest.param(0.0, marks=pytest.mark.trust), 0.05])
 def test_false_statements_are_found(part):
     """Of a recording that states less noise than it has."""

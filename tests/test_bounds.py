@@ -24,6 +24,8 @@ from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.surfaces import Gap, certificate, enclosure, surface
 from tests.robustness.bounds import DIRECTIONS, false_bounds, false_certificates
 
+pytestmark = pytest.mark.slow
+
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 
 
@@ -40,7 +42,6 @@ def parts(count):
     return [seed if seed < count else pytest.param(seed, marks=pytest.mark.trust) for seed in range(60)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(1))
 @pytest.mark.parametrize("margin", [1e-3, 0.3])
 def test_what_is_certified_of_contacts_within_a_margin_is_true(margin, seed):
@@ -55,7 +56,6 @@ def test_what_is_certified_of_contacts_within_a_margin_is_true(margin, seed):
     assert exact.bound + 0.5 * margin < wider.bound < 2 * exact.bound + 20 * margin
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(1))
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
@@ -68,7 +68,6 @@ def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
     assert bounds.slabs.stack.height_error >= cloud.pose_error > 4e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
 @pytest.mark.parametrize("seed", parts(4))
 def test_what_is_certified_of_contacts_anywhere_is_true(seed, noise):
@@ -109,7 +108,6 @@ def tilted(seed, turn):
     return body, simulate_rig(body, poses, model="planar", friction=(0.2, 0.2)).recording()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2, 4, 5, 6))])
 def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
     turn = (0.5, -0.4, 0.3)
@@ -125,7 +123,6 @@ def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
 # --- how tight the bounds are ---
 
 
-@pytest.mark.slow
 def test_the_certificate_does_not_rest_on_an_inferred_friction():
     """A wrong coefficient would make the bound wrong: the enclosure is that of the tangential contacts alone."""
     cloud = scanned(random_body(2), slices=12, samples=24)
@@ -145,7 +142,6 @@ def ball():
     return mesh, cloud, enclosure(cloud)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fraction", [-0.1, 1e-5])
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """Nothing but the shape decides: what is pushed in by 10 % of the diagonal is not certified as convex."""
@@ -161,7 +157,6 @@ def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     assert at_vertices.max() <= bound * (1 + 1e-9)
 
 
-@pytest.mark.slow
 def test_surfaces_that_are_open_or_dented_are_compared_with_the_inner_body(ball):
     mesh, cloud, bounds = ball
     closed = surface(cloud, "hull")
@@ -191,7 +186,6 @@ def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     assert (at_vertices >= bounds.bound).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("margin", [0.0, 0.05])
 def test_the_certificate_is_the_largest_distance_of_a_corner_or_a_vertex(ball, margin):
     """Of smaller, larger and moved bodies: against all corners and vertices."""
@@ -205,7 +199,6 @@ def test_the_certificate_is_the_largest_distance_of_a_corner_or_a_vertex(ball, m
         assert certificate(bounds, moved).bound == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.slow
 def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=20)
     # one sweep for each slice sees one side only, so that no slab is closed
@@ -234,7 +227,6 @@ def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
     assert np.isfinite(certified.at_vertices[~at_ends]).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_a_withdrawn_enclosure_states_nothing(axis):
     bounds = enclosure(scanned(random_body(1), slices=4, samples=24, axis=axis))

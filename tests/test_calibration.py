@@ -19,6 +19,8 @@ from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded,
 from scan3d.recording import of_rows
 from tests import references, rigs
 
+pytestmark = pytest.mark.slow
+
 # A rig that differs from the nominal one in all ways, by much.
 TURNED = rigs.Truth(
     noise=0, jitter=0, sensor_turn=(170.0, 20.0, 60.0), sensor=(0.01, 0.03, 0.02), stiffness=1.5e-4, length=0.0605
@@ -73,7 +75,6 @@ def on_sphere():
     return calibrated("sphere", **SHORT)[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "shape", "contact"),
     [
@@ -111,7 +112,6 @@ def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, sh
         assert np.quantile(np.abs(exact - quotient)[good], 0.99) < within * np.abs(exact[good]).max()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "truth"), [("sphere", TURNED), ("plane", rigs.EXACT)])
 def test_every_parameter_is_recovered_without_noise(kind, truth):
     recording, touched = recorded(kind, truth, **SHORT)
@@ -133,7 +133,6 @@ def test_every_parameter_is_recovered_without_noise(kind, truth):
     assert corrected.rod.bending_stiffness_Nm2 == pytest.approx(truth.stiffness, rel=1e-7)
 
 
-@pytest.mark.slow
 def test_with_noise_the_errors_are_those_that_are_stated(noisy):
     recording, found, kind = noisy
     deviations = errors(found, recording, kind) / found.standard_deviations
@@ -153,7 +152,6 @@ def test_with_noise_the_errors_are_those_that_are_stated(noisy):
     assert max(uncertain[f"clamp_{axis}_mm"] for axis in "xyz") < 0.06
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.0, 0.5])
 def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, stated):
     recording = rigs.recorded(**SHORT)
@@ -165,7 +163,6 @@ def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, 
     assert any("In the air the reactions scatter by" in sentence for sentence in found.sentences) == bool(stated)
 
 
-@pytest.mark.slow
 def test_a_given_pose_noise_is_tested():
     jittering = rigs.recorded(dataclasses.replace(rigs.Truth(), jitter=200e-6), sweeps=15, **SHORT)
     found = scan3d.calibrate(jittering, rigs.DIAMETER, pose_noise_m=20e-6)
@@ -178,7 +175,6 @@ def added(recording, force, moment):
     return rigs.with_wrench(recording, before[0] + force, before[1] + moment)
 
 
-@pytest.mark.slow
 def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
     raster = dict(sweeps=15, **SHORT)
     recording = rigs.recorded(**raster)
@@ -190,7 +186,6 @@ def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
     assert np.abs(deviations[of_rig(found)]).max() < 4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("other", "seeds"), [(0.0, 1), (1.0, 1), pytest.param(0.0, 40, marks=pytest.mark.trust)])
 def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
     """One that hardly sags, so that its weight acts in its middle, beside `other` times its weight at the clamp."""
@@ -224,7 +219,6 @@ def test_a_rod_is_weighed_in_the_air(other, seeds, tmp_path):
         assert scan3d.read_rig(tmp_path / "rig.toml").rod == found.rod
 
 
-@pytest.mark.slow
 def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_value():
     raster = dict(directions=1, rolls=30, **SHORT)
     truth = dataclasses.replace(rigs.EXACT, clamp=(0.0006, 0.0, 0.0008), drift=(0.0,) * 6)
@@ -239,7 +233,6 @@ def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_valu
     assert max(error[name] for name in names) < 1e-6
 
 
-@pytest.mark.slow
 def test_without_friction_the_turn_about_the_rod_is_not_determined():
     raster = dict(friction=0.0, **SHORT)
     recording = rigs.recorded(**raster)
@@ -250,7 +243,6 @@ def test_without_friction_the_turn_about_the_rod_is_not_determined():
     assert np.abs(errors(found, recording, **raster) / found.standard_deviations).max() < 4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "tip"), [pytest.param(0.0, True, marks=pytest.mark.trust), (0.0, False), (0.001, True)]
 )
@@ -273,7 +265,6 @@ def test_a_rod_in_a_plane_has_fewer_parameters(noise, tip):
     assert len(scan3d.reconstruct(corrected)) > 300
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", ["diameter", "planar", *(pytest.param(case, marks=pytest.mark.trust) for case in ("facets", "diameter"))]
 )
@@ -296,7 +287,6 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
         assert (np.abs(errors(found, recording, **raster)) < 3 * found.standard_deviations).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", pytest.param("plane", marks=pytest.mark.trust)])
 def test_gains_and_cross_talk_of_the_sensor_are_part_of_the_uncertainties(kind):
     """One per cent between all channels: what the touches do not tell of them makes wide intervals, and no refusal."""
@@ -313,7 +303,6 @@ def test_gains_and_cross_talk_of_the_sensor_are_part_of_the_uncertainties(kind):
     assert "the noise in the air is" in contradiction
 
 
-@pytest.mark.slow
 def test_a_gain_that_changes_from_row_to_row_is_allowed_for():
     recording = rigs.recorded(**SHORT)
     gain = 1 + 0.01 * np.random.default_rng(3).normal(size=(len(recording), 6))
@@ -324,7 +313,6 @@ def test_a_gain_that_changes_from_row_to_row_is_allowed_for():
     assert error[of_rig(found)].max() < 4
 
 
-@pytest.mark.slow
 def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_sphere):
     """Half of the noise's variance is 1/f."""
     recording = rigs.recorded(pink=0.5, stated=False, **SHORT)
@@ -336,7 +324,6 @@ def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_
     assert np.abs((found.values[rig] - true) / found.standard_deviations[rig]).max() < 4
 
 
-@pytest.mark.slow
 def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     recording = rigs.recorded(sweeps=15, **SHORT)
     touching = np.isfinite(rigs.swept(sweeps=15, **SHORT)[4].s1).ravel()
@@ -361,7 +348,6 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
         scan3d.calibrate(late, rigs.DIAMETER, tare="sweep")
 
 
-@pytest.mark.slow
 def test_rows_that_come_and_go_do_not_spoil_a_fit():
     """The least sum of squares of this noise has a kink, where a row is lost and found."""
     recording = rigs.recorded(seed=103, samples=120)
@@ -370,7 +356,6 @@ def test_rows_that_come_and_go_do_not_spoil_a_fit():
     assert (np.abs(errors) < 4 * found.standard_deviations).all()
 
 
-@pytest.mark.slow
 def test_the_command_writes_a_rig_and_prints_a_table(call, tmp_path):
     (recording, found, _), rig, touches = calibrated("sphere"), tmp_path / "new" / "rig.toml", tmp_path / "touches.csv"
     scan3d.write_recording(recording, touches)
@@ -409,7 +394,6 @@ def test_a_rig_is_read_back_as_it_was(tmp_path, noisy):
     assert found.applied(recording).rod == calibration.rod
 
 
-@pytest.mark.slow
 def test_reconstruct_takes_a_rig(call, tmp_path, no_pictures, undiagnosed, on_sphere):
     scan3d.write_rig(on_sphere, tmp_path / "rig.toml")
     log = rigs.recorded(rigs.EXACT, **SHORT)

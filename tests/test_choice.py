@@ -14,6 +14,8 @@ from scan3d.reconstruction.slices import Slice, SliceStack
 from scan3d.surfaces import certificate, choice, enclosure, surface
 from scan3d.surfaces.estimates import contours_between
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def box():
@@ -28,7 +30,6 @@ def ball():
     return mesh, scanned(mesh)
 
 
-@pytest.mark.slow
 def test_a_polyhedron_between_its_slices_is_recognised_by_its_facets(box, monkeypatch):
     mesh, cloud = box
     estimate = surface(cloud)
@@ -44,7 +45,6 @@ def test_a_polyhedron_between_its_slices_is_recognised_by_its_facets(box, monkey
     assert estimate.is_watertight
 
 
-@pytest.mark.slow
 def test_a_smooth_body_is_fitted(ball):
     mesh, cloud = ball
     fitted = surface(cloud)
@@ -53,7 +53,6 @@ def test_a_smooth_body_is_fitted(ball):
     assert scan3d.compare(fitted, mesh).relative < 1e-4
 
 
-@pytest.mark.slow
 def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hull(ball):
     mesh, cloud = ball
     bounds = enclosure(cloud)
@@ -64,7 +63,6 @@ def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hul
     assert distance <= certificate(bounds, estimate).bound <= bounds.bound
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(1, 8))])
 def test_the_estimate_lies_between_the_bounds(seed):
     """Whatever the body: no point lies outside the outer body by more than interpolation, and the certificate holds."""

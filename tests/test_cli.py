@@ -120,6 +120,7 @@ def test_wrong_usage(call, tmp_path, monkeypatch, asked, sentence):
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_a_scan_goes_beside_its_mesh_and_over_nothing(call, tmp_path, no_pictures):
     mesh = Path(shutil.copy(CUBE, tmp_path / "part.stl"))
     (tmp_path / "part-scan").write_text("mine")
@@ -155,6 +156,7 @@ def test_output_into_a_closed_pipe(tmp_path):
 # --- output ---
 
 
+@pytest.mark.slow
 def test_help_version_and_completion(call):
     code, stdout, stderr = call("--help")
     assert (code, stderr) == (0, "")
@@ -171,6 +173,7 @@ def test_help_version_and_completion(call):
     assert set(re.findall(r"^  scan3d ([a-z]+)", stdout, re.MULTILINE)) <= set(COMMANDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_describes_each_option_and_has_examples_that_run(call, command):
     code, stdout, stderr = call(command, "--help")
@@ -210,6 +213,7 @@ def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, 
     assert "Open" not in call("demo", "--quiet")[1]
 
 
+@pytest.mark.slow
 def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, scanned, tmp_path, no_pictures):
     out, printed = scanned
     first = json.loads(printed)

@@ -40,6 +40,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", WRITERS)
 def test_sizes_are_known_before_the_work(tmp_path, monkeypatch, file):
     """A file of some kilobytes with 64 MB of zeros: 8 bytes for each number, and hardly any memory before the refusal."""

@@ -42,6 +42,7 @@ def test_a_comparison_of_a_surface_and_points_is_that_of_each_alone():
     assert not reached
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("within", "share"), [(0.6, 0.09), (3.0, 0.5)])
 def test_what_was_reached_of_a_sphere(within, share):
     """Archimedes: a cap of the unit sphere within d of its pole has d²/4 of its area; half of the sphere faces away."""

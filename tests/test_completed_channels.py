@@ -148,6 +148,7 @@ def test_logs_in_which_nothing_was_touched_are_whole(channel, six_axes):
         scan3d.reconstruct(found)
 
 
+@pytest.mark.slow
 def test_friction_that_is_assumed_is_not_told_as_found(tmp_path, capsys):
     path = without(scanned(few=True)[1], "f0y", tmp_path, f"friction = {FRICTION}")
     assert main(["reconstruct", str(path), "--out", str(tmp_path / "out")]) == 0

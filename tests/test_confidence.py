@@ -24,6 +24,8 @@ from scan3d.recording import of_rows
 from scan3d.simulation.rig import pink_noise
 from scan3d.surfaces import enclosure
 
+pytestmark = pytest.mark.slow
+
 
 @functools.cache
 def scanned(name, noise, seed=1, slices=16, **plan):
@@ -43,7 +45,6 @@ def test_errors_stay_within_the_standard_deviations_that_are_allowed():
 BODIES = ("egg.stl", "cube.stl", "pebble.obj", "needle.ply")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("names", [BODIES[:1], pytest.param(BODIES, marks=pytest.mark.trust)])
 def test_contacts_and_normals_lie_within_what_is_stated_of_them(names):
     """95 % in their ellipses in the slice's plane, those of the tip, along the rod and of each tenth by force as well, and of
@@ -74,7 +75,6 @@ def test_contacts_and_normals_lie_within_what_is_stated_of_them(names):
         assert 0.93 <= np.concatenate(parts).mean() <= 0.97
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"),
     [
@@ -99,7 +99,6 @@ def test_the_section_lies_between_the_polygons(name, noise):
         assert ((normals @ slice_.points.T).max(axis=1) <= support + rounding).all()
 
 
-@pytest.mark.slow
 def test_a_mean_of_contacts_lies_as_close_as_its_covariance_says():
     """The rows that are averaged do not depend on the errors, so that the errors of the mean are those of the sum."""
     _, _, cloud = scanned("cube.stl", 1e-4)
@@ -114,7 +113,6 @@ def test_a_mean_of_contacts_lies_as_close_as_its_covariance_says():
     np.testing.assert_allclose(averages.variance(covariance), expected)
 
 
-@pytest.mark.slow
 def test_means_of_rounded_numbers_are_no_more_accurate():
     """Of 500 samples of 8 bit many have the same error; their means were taken for accurate, and false."""
     mesh = trimesh.convex.convex_hull(np.random.default_rng(24).standard_normal((4, 3)) * 10)
@@ -202,7 +200,6 @@ def test_the_part_of_a_polygon_beyond_a_line():
     np.testing.assert_allclose(height, np.sqrt(0.5))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"), [("cube.stl", 1e-3), pytest.param("egg.stl", 1e-4, marks=pytest.mark.trust)]
 )

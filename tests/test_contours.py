@@ -99,6 +99,7 @@ def circle_of(count):
     return np.array([0.0, 1.0]) + 0.5 * np.stack([np.cos(around), np.sin(around)], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 4, 7, 1000, 100_000])
 def test_polygons_from_3_to_100_000_vertices(count):
     started = time.perf_counter()

@@ -13,6 +13,8 @@ from scan3d.surfaces import cut
 from scan3d.surfaces.creases import least_bent
 from scan3d.surfaces.cut import BETWEEN, cut_surface
 
+pytestmark = pytest.mark.slow
+
 
 def torus(points):
     """Distance (...) from a ring of radius 3 whose tube has the radius 1.2."""

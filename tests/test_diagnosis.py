@@ -22,6 +22,8 @@ from tests import rigs
 from tests.robustness import faults
 from tests.robustness.shot_rods import Bent, noisy
 
+pytestmark = pytest.mark.slow
+
 
 @functools.cache
 def in_plane(name="egg.stl", noise=0.0):
@@ -114,7 +116,6 @@ QUICK_IN_PLANE = (
 )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "fault", "noise"),
     [
@@ -134,7 +135,6 @@ def test_a_planar_fault_is_named_with_its_size(name, fault, noise):
     assert name == "cube.stl" or text in found.message
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["egg.stl", trusted("cube.stl")])
 def test_planar_offsets_and_zeros_are_named_with_their_size(name):
     right = in_plane(name)
@@ -171,7 +171,6 @@ SPATIAL = {
 QUICK = ("offset", "left-handed")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recording", "fault"),
     [
@@ -194,7 +193,6 @@ def test_a_spatial_fault_is_named_with_its_size(recording, fault):
 FRAMES = [((0, 30, 0), (0, -20, 0)), ((-20, 0, 40), (3, 25, -30)), ((0, 0, 90), (0, 0, 30))]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recording", "angles", "place"),
     [
@@ -223,7 +221,6 @@ def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(recording, angles
     assert position == pytest.approx(place, abs=4)
 
 
-@pytest.mark.slow
 def test_what_no_single_fault_explains_is_said_to_be_so():
     found = diagnosed(FAULTS["interleaved"](in_plane()))
     assert (found.fault, found.value) == ("unknown", None)
@@ -240,7 +237,6 @@ RODS = {
 KINDS = {"a little taper": "taper", "set": "curvature"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "noise", "seed"),
     [
@@ -263,7 +259,6 @@ def test_a_rod_that_is_not_the_stated_one_is_named_or_among_what_is_alike(kind, 
     assert found.value == pytest.approx(expected, rel=0.2 if noise else 1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "tared", "noise"),
     [trusted(weight, tared, noise) for weight in (0.01, 0.04, 0.1) for tared in (True, False) for noise in (0.0, 1e-3)],
@@ -279,7 +274,6 @@ def test_the_weight_of_a_rod_is_named(weight, tared, noise):
     assert f"tared = {str(tared).lower()}" in found.message
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("weight", [trusted(0.02), trusted(0.1)])
 def test_gravity_is_where_a_sensor_that_was_not_tared_shows_it(weight):
     # in a world that is turned, so that gravity lies along its y axis
@@ -289,7 +283,6 @@ def test_gravity_is_where_a_sensor_that_was_not_tared_shows_it(weight):
     assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("speed", [None, 0.02])
 def test_a_wrench_that_is_later_than_its_pose_is_named(speed):
     """It is that of a pose that lay 3 mm back, against the sweep in -x."""
@@ -308,7 +301,6 @@ def test_a_wrench_in_the_frame_of_the_poses_is_named():
     assert 'wrench_in = "world"' in found.message
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4, trusted(1e-3)])
 def test_right_recordings_have_no_diagnosis(noise):
     rng = np.random.default_rng(5)
@@ -318,7 +310,6 @@ def test_right_recordings_have_no_diagnosis(noise):
         assert checked(right, scan3d.reconstruct(right)) == ([], None)
 
 
-@pytest.mark.slow
 def test_the_report_and_the_page_name_the_fault():
     analysis = analyse(FAULTS["sensor turned by 5 degrees"](in_plane()), method="hull")
     data = report(analysis, settings={})

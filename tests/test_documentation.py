@@ -254,6 +254,7 @@ def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
     assert read.source["kind"] == "laboratory"
 
 
+@pytest.mark.slow
 def test_the_report_has_the_sections_that_the_pages_name(folder: Path) -> None:
     page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8").partition("## The report")[2]
     rows = [row.split("|")[1] for row in page.split("\n") if row.startswith("| `")]

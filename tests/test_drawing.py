@@ -14,6 +14,8 @@ import scan3d
 from scan3d import pipeline
 from scan3d.pictures import canvas, drawing
 
+pytestmark = pytest.mark.slow
+
 JOBS = [(".png", {"view": "cloud"})]
 
 
@@ -31,7 +33,6 @@ class DrawnHere(contextlib.nullcontext):
         self.finish = lambda: drawing._pictures(*what)
 
 
-@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_child_draws_while_a_scan_compares_and_as_this_process_does_afterwards(tmp_path, monkeypatch):
     """Whatever its matplotlibrc."""
@@ -77,7 +78,6 @@ def test_the_child_is_the_trial_of_the_renderer(monkeypatch):
     assert canvas._is_known is False
 
 
-@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.usefixtures("renderer")
 def test_a_child_that_has_drawn_draws_the_next_scene_alike():
@@ -87,7 +87,6 @@ def test_a_child_that_has_drawn_draws_the_next_scene_alike():
     assert once == again
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("renderer")
 def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, call):
     monkeypatch.setattr(drawing, "_CODE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
@@ -99,7 +98,6 @@ def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, 
     assert not (tmp_path / "a.png").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_child_ends_with_the_process_that_started_it():
     code = (

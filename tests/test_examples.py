@@ -21,6 +21,8 @@ from test_against_reference_values import TABLE
 
 import scan3d
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
@@ -46,7 +48,6 @@ def smaller(function, **fewer):
     return lambda *given, **options: function(*given, **{**options, **fewer})
 
 
-@pytest.mark.slow
 def test_scripts_draw_whose_own_tests_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What they compute is held by the tests of sweeps, of errors and of sweeps in space."""
     reaches = example("what_a_rod_reaches")
@@ -65,7 +66,6 @@ def test_scripts_draw_whose_own_tests_do_not(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.rendering
-@pytest.mark.slow
 def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(EXAMPLES)
     notebook = json.loads((EXAMPLES / "from_mesh_to_surface.ipynb").read_text(encoding="utf-8"))
@@ -87,7 +87,6 @@ def test_one_sweep() -> None:
         assert [float(cell.split(",")[0]) for cell in row.split("|")[3:6]] == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.slow
 def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("whisker")
     sweep, contacts = script.read(script.whisker, script.whisker, script.ellipse)
@@ -102,7 +101,6 @@ def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(row in manual for row in rows)
 
 
-@pytest.mark.slow
 def test_live_contacts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, samples=12))
     live = example("live_contacts").main([])
@@ -153,7 +151,6 @@ def test_live_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(rows[:, :3], points, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_gaussian_process(capsys: pytest.CaptureFixture[str]) -> None:
     example("gaussian_process").main([str(EGG), "--touches", "150"])
     _, _, by_process, by_scan3d = capsys.readouterr().out.splitlines()
@@ -175,7 +172,6 @@ def test_mujoco_log() -> None:
     assert np.abs(off).max() < 2e-3 * script.ROD.length_m
 
 
-@pytest.mark.slow
 def test_methods_by_meshes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, samples=16))
     meshes = EXAMPLES.parent / "meshes"
@@ -190,7 +186,6 @@ def test_methods_by_meshes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
 
 @pytest.mark.open3d
-@pytest.mark.slow
 def test_error_by_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("error_by_slices")
     for method in ("bracket", "ball-pivoting"):  # which other tests compare with the hull
@@ -231,7 +226,6 @@ def test_rig_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     check_picture(script, tmp_path, "--quick")
 
 
-@pytest.mark.slow
 def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("own_measurements")
     monkeypatch.setattr(scan3d, "Plan", smaller(scan3d.Plan, sweeps=5, samples=12))
@@ -278,7 +272,6 @@ def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert known <= certified
 
 
-@pytest.mark.slow
 def test_what_planarity_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("what_planarity_costs")
     at = {height: k for k, height in enumerate(script.HEIGHTS)}
@@ -302,7 +295,6 @@ def test_what_planarity_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert len(capsys.readouterr().out.splitlines()) == 2 + 4 * len(script.HEIGHTS)
 
 
-@pytest.mark.slow
 def test_rod_that_slides_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("rod_that_slides_away")
     # (S23) says where the sweep without friction becomes unstable; on the sphere, in the middle

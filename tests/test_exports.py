@@ -390,6 +390,7 @@ def test_meshlab_has_the_bound_as_the_quality_of_a_surface(ring, tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [{"faces": 1000}, {"error": 0.03, "unit": "cm"}])
 def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_path, call, far):
     options = [word for name, value in far.items() for word in (f"--{name}", value)]
@@ -410,6 +411,7 @@ def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_pa
         assert scan3d.compare(mesh, fine).hausdorff <= far["error"]
 
 
+@pytest.mark.slow
 def test_larger_errors_leave_no_more_faces():
     body = trimesh.creation.torus(12, 4, major_sections=32, minor_sections=16)
     surface = Shape(surface_table(body), body.faces.astype(np.int32), "mm")

@@ -23,6 +23,7 @@ def felt(sweep):
     return np.hypot(sweep.f0x, sweep.f0y) > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [-1, 1])
 @pytest.mark.parametrize(
     ("missing", "friction"), [("f0x", 0.3), ("f0y", 0.0), ("f0y", 0.3), ("m0z", 0.0), ("m0z", 0.3)]
@@ -94,6 +95,7 @@ def test_errors_are_those_of_drawn_noise(missing):
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "direction", "rod"),
     [(0.0, -1, None), (0.3, 1, None), pytest.param(0.2, -1, CONE, marks=pytest.mark.slow)],
@@ -180,6 +182,7 @@ def swept_once(friction, rod):
     return planar.sweep(CIRCLE, friction, samples=60, rod=rod)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("missing", "friction", "known", "published"), PUBLISHED)
 def test_errors_of_each_set_of_channels_are_the_published_ones(missing, friction, known, published):
     draws = 24

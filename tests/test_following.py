@@ -16,6 +16,8 @@ from scan3d.spatial import inverse
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import sweep
 
+pytestmark = pytest.mark.slow
+
 
 def pushed(sweep):
     """The rows of a sweep in which the moment can be felt, and their frames."""
@@ -63,7 +65,6 @@ def test_touches_at_a_fixed_base_are_read_row_by_row():
 AXES, LENGTH = np.array([0.9, 0.675, 0.45]), 0.06
 
 
-@pytest.mark.slow
 def test_logs_of_two_moments_in_space_are_imported(tmp_path):
     heights, n, noise = np.array([-0.2, 0.05, 0.25]), 80, 1e-4
     position = np.zeros((3, n, 3))
@@ -101,7 +102,6 @@ def test_logs_of_two_moments_in_space_are_imported(tmp_path):
         read(contact="tip")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("channel", "noise", "of_axial"), [("force", 1e-4, 0), ("across", 1e-4, 1e-4), ("across", 5e-4, 5e-5)]
 )

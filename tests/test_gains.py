@@ -16,6 +16,8 @@ from tests.rig_errors import logged
 from tests.robustness.calibrations import standardised
 from tests.sample_bodies import MESHES
 
+pytestmark = pytest.mark.slow
+
 # Half a per cent, which is what a sensor is taken to have that states nothing.
 DRAWN = tuple(0.005 * np.random.default_rng(1).normal(size=6))
 MOMENTS = (0.0, 0.0, 0.0, *[1 / 1.005 - 1] * 3)
@@ -33,7 +35,6 @@ def calibrated(gains, accuracy=None, kind="sphere", **faults):
     return truth, scan3d.calibrate(recording, touched, accuracy=accuracy), recording
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "gains"),
     [
@@ -54,7 +55,6 @@ def test_gains_that_are_not_stated_are_part_of_the_uncertainties(kind, gains):
     assert not any("check the sensor's gains" in sentence for sentence in found.sentences)
 
 
-@pytest.mark.slow
 def test_gains_that_are_stated_as_exact_are_not_sought():
     truth, found, recording = calibrated(MOMENTS, accuracy=0)
     assert not found.gains.any()
@@ -66,7 +66,6 @@ def test_gains_that_are_stated_as_exact_are_not_sought():
     assert abs(error[names.index("sensor_y_mm")]) > 5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gains", "named", "factor"),
     [
@@ -87,7 +86,6 @@ def test_gains_beyond_the_accuracy_are_named(gains, named, factor):
     )
 
 
-@pytest.mark.slow
 def test_a_log_is_corrected_by_the_gains_and_its_bound_allows_for_them():
     truth, found, _ = calibrated(DRAWN)
     assert (np.diag(found.uncertainty().gains) > 0).all()
@@ -109,7 +107,6 @@ def test_a_log_is_corrected_by_the_gains_and_its_bound_allows_for_them():
     assert low <= mesh.volume <= high
 
 
-@pytest.mark.slow
 def test_the_gains_are_those_of_the_channels_whatever_frame_a_map_states(tmp_path):
     """Touches that were imported with a nominal frame of the sensor give the same gains, and the same corrected log."""
     _, found, recording = calibrated(DRAWN)

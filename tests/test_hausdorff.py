@@ -27,6 +27,7 @@ def test_against_brute_force_in_extended_precision(pair):
     assert far(result.worst_point[None], target)[0] == pytest.approx(result.hausdorff, abs=EXACT * result.diagonal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
 def test_against_support_functions(pair):
     assert compare(*pair).hausdorff == pytest.approx(by_support(*pair), rel=1e-9, abs=1e-11)

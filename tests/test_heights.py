@@ -74,6 +74,7 @@ def test_no_slices_are_taken_that_buy_nothing():
     assert found.part(Gap.SLICES) < 1.02 * found.part(Gap.CONTACTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
     """Rounding of its gaps decides nothing: between the first slices nothing is left to be found."""

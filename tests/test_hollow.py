@@ -129,6 +129,7 @@ def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
     assert not result.cloud.convex
 
 
+@pytest.mark.slow
 def test_noisy_contacts_lie_as_far_from_a_body_that_is_not_convex_as_their_errors_say():
     """Of lone contacts, whose errors may be infinite, none is a warning of the arithmetic."""
     recording = scan3d.simulate(

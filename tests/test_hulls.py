@@ -122,6 +122,7 @@ def test_climbing_along_edges_finds_the_highest_of_all_points(points):
     assert found == pytest.approx(highest(points, sought), abs=1e-14 * np.abs(points).max())
 
 
+@pytest.mark.slow
 def test_tangent_planes_cut_what_faces_leave_open():
     normals = unit(np.random.default_rng(2).normal(size=(3000, 3)))
     normals = normals[np.abs(normals[:, 2]) < 0.8]

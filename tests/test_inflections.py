@@ -97,6 +97,7 @@ def inflected_rods():
     return InflectedRods(*(column[has_two_zeros] for column in rods))
 
 
+@pytest.mark.slow
 def test_inflected_rods_are_solutions_of_the_equations(inflected_rods):
     alpha, f, m0z, inflection, tip_slope = inflected_rods
     fractions = np.linspace(0, 1, 101)

@@ -86,6 +86,7 @@ def ended(number, out):
     return child.communicate(timeout=60)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_what_was_simulated_is_kept_and_one_goes_on_with_it(tmp_path, capsys, no_pictures, number):
     """Against the same scan without an end: the recording is the same, byte for byte."""
@@ -108,6 +109,7 @@ def test_what_was_simulated_is_kept_and_one_goes_on_with_it(tmp_path, capsys, no
         assert scan3d.open(out).cloud.points.shape == scan3d.open(whole).cloud.points.shape
 
 
+@pytest.mark.slow
 def test_an_end_replaces_neither_a_result_nor_files_of_others(tmp_path, no_pictures):
     out = tmp_path / "out"
     assert main(["scan", str(CUBE), "--out", str(out), *FEW, "--seed", "7"]) == 0

@@ -13,6 +13,8 @@ from shapes import SupportCurve
 import planar
 from planar import Phase, segments
 
+pytestmark = pytest.mark.slow
+
 AGREES = 1e-9
 twenty_examples = settings(max_examples=20, deadline=None)
 eight_examples = settings(max_examples=8, deadline=None)
@@ -72,7 +74,6 @@ def mirror(contour):
 
 @twenty_examples
 @given(contours, frictions)
-@pytest.mark.slow
 def test_mirror(contour, friction):
     base = inner_base(contour, friction)
     to_the_left = planar.sweep(contour, friction, base=base)
@@ -87,7 +88,6 @@ def test_mirror(contour, friction):
     np.testing.assert_allclose(to_the_right.point, to_the_left.point * [-1, 1], atol=AGREES)
 
 
-@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions)
 def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
@@ -108,7 +108,6 @@ def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
     np.testing.assert_allclose(mirrored.straight, lines.straight * [-1, 1], atol=1e-14)
 
 
-@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions)
 def test_events_of_the_mirror_image(contour, friction):
@@ -149,7 +148,6 @@ def test_lengths_forces_and_moments_scale_with_the_rod(scale, slope, y, friction
     np.testing.assert_array_equal(scaled.q, full.q)
 
 
-@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.floats(0.05, 1.0))
 def test_contacts_scale_with_the_reactions(contour, friction, scale):
@@ -166,7 +164,6 @@ def test_contacts_scale_with_the_reactions(contour, friction, scale):
     np.testing.assert_allclose(scaled.friction_angle_bound, full.friction_angle_bound, atol=1e-11)
 
 
-@pytest.mark.slow
 @eight_examples
 @given(ellipses(), frictions)
 def test_an_ellipse_by_other_parameters(ellipse, friction):
@@ -180,7 +177,6 @@ def test_an_ellipse_by_other_parameters(ellipse, friction):
 
 @eight_examples
 @given(st.floats(0.02, 3.0), st.floats(0.05, 0.9), frictions)
-@pytest.mark.slow
 def test_a_circle_by_other_classes(radius, gap, friction):
     center = (0.1, gap + radius)
     circle = planar.Circle(radius, center)
@@ -202,7 +198,6 @@ def test_a_circle_by_other_classes(radius, gap, friction):
 
 @twenty_examples
 @given(st.floats(0.1, 1.5), st.floats(0.1, 0.9), frictions)
-@pytest.mark.slow
 def test_a_circle_by_its_polygon(radius, gap, friction):
     count = 2000
     around = 2 * np.pi * np.arange(count) / count
@@ -225,7 +220,6 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     assert np.abs(faceted.m0z - smooth.m0z)[same].max() < 0.02
 
 
-@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.integers(0, 2**32 - 1))
 def test_reconstruction_treats_every_row_separately(contour, friction, seed):
@@ -238,7 +232,6 @@ def test_reconstruction_treats_every_row_separately(contour, friction, seed):
         np.testing.assert_allclose(getattr(shuffled, name), getattr(in_order, name)[order], rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.integers(2, 7))
 def test_a_sweep_does_not_depend_on_its_samples(contour, friction, step):
@@ -251,14 +244,12 @@ def test_a_sweep_does_not_depend_on_its_samples(contour, friction, step):
 
 @twenty_examples
 @given(contours, frictions)
-@pytest.mark.slow
 def test_the_same_friction_for_every_sample(contour, friction):
     base = inner_base(contour, friction)
     swept = planar.sweep(contour, friction, base=base)
     assert_same(planar.sweep(contour, np.full(len(base), friction), base=base), swept)
 
 
-@pytest.mark.slow
 @eight_examples
 @given(contours, st.integers(0, 2**32 - 1))
 def test_friction_per_sample_gives_the_state_of_a_sweep_with_that_friction(contour, seed):
@@ -276,7 +267,6 @@ def test_friction_per_sample_gives_the_state_of_a_sweep_with_that_friction(conto
 
 @eight_examples
 @given(st.lists(contours, min_size=1, max_size=4), frictions)
-@pytest.mark.slow
 def test_sweeping_together_is_sweeping_alone(several, friction):
     bases = [inner_base(contour, friction, count=8) for contour in several]
     together = planar.sweep_all(several, [friction] * len(several), base=bases)

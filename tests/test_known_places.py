@@ -103,6 +103,7 @@ def written(folder, space, random, bend=0.0):
     return counts, channels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", [False, True])
 def test_from_counts_to_contacts(tmp_path, capsys, space):
     """A log in counts is calibrated, imported and reconstructed, and contacts are where the deviations say."""
@@ -149,6 +150,7 @@ def test_from_counts_to_contacts(tmp_path, capsys, space):
     assert len(cloud.calibration.covariance) == len(cloud)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "why"),
     [

@@ -106,6 +106,7 @@ def made(recording, ros):
     return data | {"ros": ros}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("generation", "poses"), [(1, "tf"), (2, "pose")])
 def test_a_bag_gives_the_recording_back(tmp_path, recording, generation, poses):
     log = track(recording, air=25)
@@ -129,6 +130,7 @@ def test_static_transforms_hold_for_all_times(tmp_path, recording):
     assert (summary.rows, summary.left_out["without a pose"]) == (len(log.time), 0)
 
 
+@pytest.mark.slow
 def test_topics_that_are_not_there(tmp_path, recording):
     log, world = track(recording, air=25), ["world", "clamp"]
     written(tmp_path / "run", 2, log, "pose")

@@ -19,6 +19,8 @@ from scan3d.laboratory.signals import robust_sd
 from scan3d.recording import of_rows
 from tests.rig_errors import six_axis
 
+pytestmark = pytest.mark.slow
+
 EXACT = Rig()
 RIG_WITH_NOISE = Rig(noise=0.002)
 
@@ -77,7 +79,6 @@ def same_rows(log, found):
     return log.row[log.row >= 0]
 
 
-@pytest.mark.slow
 def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording):
     log = track(recording, air=60)
     found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))
@@ -95,7 +96,6 @@ def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording)
     assert not (found.air & log.wrench.any(axis=1)).any()
 
 
-@pytest.mark.slow
 def test_with_noise_the_contacts_come_back_within_what_is_stated(tmp_path, recording):
     # of the largest force, which in space is that of a single steep contact
     rig = Rig(noise=0.0002 if recording.six_axis else 0.002)
@@ -125,7 +125,6 @@ UNITS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
 @given(
     turn=st.tuples(SOME, SOME, SOME), arm=st.tuples(SOME, SOME, SOME), clamp=st.tuples(SOME, SOME, SOME),
     clamp_arm=st.tuples(SOME, SOME, SOME), shows=st.sampled_from(["clamp-on-rod", "rod-on-clamp"]),
@@ -220,7 +219,6 @@ FILES_OF_ARRAYS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("file", FILES_OF_ARRAYS)
 def test_files_of_arrays_give_the_same_recording(tmp_path, planar, plain, file):
     _, columns, data = tabled(planar)
@@ -248,7 +246,6 @@ def test_files_of_arrays_give_the_same_recording(tmp_path, planar, plain, file):
             scan3d.import_table(tmp_path / file, data)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rows", [6, 3])
 def test_signals_of_a_transducer(tmp_path, planar, plain, rows):
     """Bridges whose volts a matrix makes force and moment of."""
@@ -326,7 +323,6 @@ def test_columns_of_sweeps_and_moves_are_used_where_they_are(tmp_path, planar, g
     assert np.abs(six(found.recording) - six(planar)[rows]).max() < 1e-12
 
 
-@pytest.mark.slow
 def test_strokes_back_count_on_request(tmp_path, planar):
     log = track(planar)
     turned = log._replace(
@@ -395,7 +391,6 @@ def with_columns(data, **entries):
     return data | {"columns": data["columns"] | entries}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rig", [EXACT, Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), noise=0.002)])
 def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_the_map_says_otherwise(
     tmp_path, planar, rig
@@ -418,7 +413,6 @@ def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_th
         assert f'check wrench_in = "{frame}" under [columns]' in said
 
 
-@pytest.mark.slow
 def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar, plain):
     (_, columns, data), late = tabled(planar), 7
     shifted = {name: np.roll(one, late) if name[0] in "FT" else one for name, one in columns.items()}
@@ -434,7 +428,6 @@ def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar, 
         imported(tmp_path / "raw.csv", columns, data)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), pytest.param(2e-6, 5e-6, marks=pytest.mark.trust)]
 )
@@ -495,7 +488,6 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
     assert found.summary.sweeps_with_contact == 0
 
 
-@pytest.mark.slow
 def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
     (tmp_path / "long.parquet").write_bytes(parquet_bytes(table(track(planar, air=150), RIG_WITH_NOISE)))
     data = map_of(planar.rod, RIG_WITH_NOISE)

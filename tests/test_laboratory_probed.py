@@ -18,6 +18,8 @@ from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import MOVES, Move
 from scan3d.simulation.rig import Faults, Place, Size, simulate_rig, standing
 
+pytestmark = pytest.mark.slow
+
 AROUND = "cylinder:76x46"
 PLACE = Place((3.0, -20.0, 1.0), (10.0, 30.0, -5.0))
 FAULTS = Faults(
@@ -97,7 +99,6 @@ def kind(request):
     return request.param
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
@@ -121,7 +122,6 @@ def test_what_was_probed_comes_back(tmp_path, kind, told):
     assert cloud.probed.all() == (kind == "probings")
 
 
-@pytest.mark.slow
 def test_thinned_and_filtered_logs_keep_what_was_felt(tmp_path, kind):
     plain = imported(tmp_path, columns_of(kind), map_of())
     thinned = imported(tmp_path, columns_of(kind), map_of(filter={"rate_hz": 8}))

@@ -114,6 +114,7 @@ def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
     assert np.median(np.abs(away)) < 5e-4
 
 
+@pytest.mark.slow
 def test_states_tell_air_dropped_values_and_what_no_rod_has(tmp_path):
     recording = scanned("spatial")
     scan3d.write_recording(recording, tmp_path / "rec.csv")
@@ -138,6 +139,7 @@ def test_states_tell_air_dropped_values_and_what_no_rod_has(tmp_path):
     assert states[20:].count("ringing") > 35
 
 
+@pytest.mark.slow
 def test_a_low_pass_leaves_less_noise():
     recording = scanned("spatial", noise=0.0)
     rng = np.random.default_rng(0)
@@ -191,6 +193,7 @@ def test_sweeps_are_found_where_the_rod_goes_through_the_air_between_them(noise)
     assert len(cloud.slice_height) == len(np.unique(whole.slice))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_a_rod_that_returns_in_its_own_plane_sweeps_again(model):
     recording = scanned(model)

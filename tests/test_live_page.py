@@ -57,6 +57,7 @@ def test_contacts_and_rod_are_those_of_the_rows_so_far(recording, browser_path, 
         tab.close()
 
 
+@pytest.mark.slow
 def test_a_port_in_use_is_refused(recording):
     live = scan3d.Live(recording)
     with scan3d.LivePage(live) as page, pytest.raises(InputError, match="choose another one, or 0"):

@@ -38,6 +38,7 @@ def thin(recording, kept):
     return of_rows(recording, np.flatnonzero(abs(height - height[chosen]) < 1e-9 if kept == "slice" else sweep))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCANS)
 def test_contacts_are_written_and_what_needs_a_body_is_one_sentence(name, call, tmp_path, no_pictures):
     recording, mesh = whole(name)

@@ -13,6 +13,8 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes, with_slice_normals
 from scan3d.reconstruction.slices import stacks
 
+pytestmark = pytest.mark.slow
+
 
 def degrees_between(a, b):
     return np.degrees(np.arccos(np.clip((a * b).sum(axis=1), -1, 1)))
@@ -29,7 +31,6 @@ def smooth(request):
     return request.param, mesh, cloud
 
 
-@pytest.mark.slow
 def test_normals_of_a_smooth_body_come_from_the_fit(smooth):
     """The facets are inclined up to 1° to the smooth body; the fit averages them out, end slices included."""
     name, _, cloud = smooth
@@ -41,7 +42,6 @@ def test_normals_of_a_smooth_body_come_from_the_fit(smooth):
         assert np.median(deviation[cloud.slice == end]) < 0.2
 
 
-@pytest.mark.slow
 def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
     name, _, cloud = smooth
     for stack in stacks(cloud):
@@ -51,7 +51,6 @@ def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
             assert np.median(degrees_between(normals, exact)) < 0.6
 
 
-@pytest.mark.slow
 def test_bodies_with_edges_are_not_fitted():
     cloud = scan3d.reconstruct(
         scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=24, spacing="cosine"))
@@ -68,7 +67,6 @@ def test_bodies_with_edges_are_not_fitted():
         scan3d.surface(cloud, "support")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, pytest.param(1e-3, marks=pytest.mark.trust)])
 def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_agree_on(noise):
     plan = scan3d.Plan(slices=24, samples=32, friction=0.3, noise=noise)

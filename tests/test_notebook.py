@@ -47,6 +47,7 @@ def embedded(picture):
         return np.asarray(image.convert("RGB")).astype(int)
 
 
+@pytest.mark.slow
 def test_a_recording_shows_itself(recording):
     rows, pictures, _ = read(recording._repr_html_())
     with_force = int(np.any(recording.force_N != 0, axis=1).sum())

@@ -83,6 +83,7 @@ def test_an_ellipse_comes_back_through_the_file(tmp_path, sweep, capsys):
         assert image.size[0] == 1400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [{}, {"f0y": "friction = 0.25"}, {"m0z": "friction = 0.25"}])
 def test_touches_from_both_sides_are_those_of_each_side(tmp_path, left, known, capsys):
     """A clamp that stays is touched by a pin here and there; the sign of the moment, or of the force, tells the side."""
@@ -200,6 +201,7 @@ def test_a_tapered_rod_is_read_as_one(tmp_path):
     assert np.abs(place - whisker.point)[felt].max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["f0y", "m0z"])
 def test_a_reaction_that_was_not_measured_is_completed_by_what_is_known(tmp_path, left, missing, capsys):
     whole = columns(left)

@@ -8,6 +8,8 @@ import scan3d
 from scan3d.errors import InputError
 from scan3d.surfaces.open3d_methods import ball_pivoting, poisson
 
+pytestmark = pytest.mark.slow
+
 METHODS = [poisson, ball_pivoting]
 
 
@@ -52,7 +54,6 @@ def check_well_made(mesh):
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("semi_axes", [(36.0, 26.0, 18.0), (2.0, 2.0, 40.0)])
-@pytest.mark.slow
 def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
     made = method(*slices_of(np.array(semi_axes)))
     result = scan3d.compare(made, ellipsoid(semi_axes))
@@ -67,7 +68,6 @@ def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize(("method", "within"), [(poisson, 0.03), (ball_pivoting, 0.01)])
-@pytest.mark.slow
 def test_a_cube_with_contacts_on_all_faces(method, within):
     made = method(*cube())
     check_well_made(made)

@@ -52,6 +52,7 @@ def refused(capsys, monkeypatch):
     return check
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overwrite", "link"), [((), None), (("--overwrite",), None), (("--overwrite",), os.symlink), ((), os.link)]
 )
@@ -207,6 +208,7 @@ def test_a_recording_replaces_a_simulated_one_and_nothing_else(folder, refused):
     assert "simulation" in Path("log.toml").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cloud.ply", "surface.ply", *RECORDING])
 def test_a_file_that_does_not_belong_to_the_report_is_not_shown_with_it(folder, capsys, name):
     with open(folder / name, "ab") as file:

@@ -119,6 +119,7 @@ def test_the_package_contains_every_file_beside_its_modules():
         assert data == {path for path in folder.iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_the_player_has_the_poses_and_reactions_of_the_recording(model):
     scene = scanned(CUBE) if model == "planar" else scanned_in_space()

@@ -34,6 +34,7 @@ def reconstruct(swept, method="closed-form", **options):
 # III-A: generating the support reactions
 
 
+@pytest.mark.slow
 def test_the_clamping_moment_consistently_increases_with_friction():
     moments = np.stack([sweep(mu).m0z for mu in np.linspace(0, 0.6, 13)])
     assert (np.diff(moments, axis=0) > 0).all()
@@ -45,6 +46,7 @@ def test_all_reactions_are_affected_by_friction():
         assert np.median(np.abs(getattr(with_much, name) - getattr(without, name))) > 0.1
 
 
+@pytest.mark.slow
 def test_more_friction_lengthens_the_contact_phase():
     ends = [planar.events(CIRCLE, mu).x0[-1] for mu in np.linspace(0, 0.6, 13)]
     assert (np.diff(ends) < 0).all()
@@ -144,6 +146,7 @@ def test_equation_10_is_no_criterion_for_the_kind_of_contact():
         assert wrong[swept.x0 > -1.1].mean() > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", INVARIANT)
 @pytest.mark.parametrize("friction", [*FRICTIONS, "random"])
 def test_s1_distinguishes_tip_from_tangential_contact_for_every_friction(method, friction):

@@ -57,6 +57,7 @@ def test_cameras_have_names_or_angles():
         np.testing.assert_allclose(sheet(camera=name).camera.toward, direction, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_cameras_see_the_sides_of_a_box(cube, tmp_path):
     """A box of 60 by 30 by 15 mm; from each side its outline has the proportions of that side."""
@@ -208,6 +209,7 @@ def bar_of(image):
     return bar[colored[0] : colored[-1] + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_the_surface_by_its_deviation(cube, tmp_path):
     image = draw(cube, tmp_path / "surface.png", "surface")
@@ -224,6 +226,7 @@ def test_the_surface_by_its_deviation(cube, tmp_path):
     assert bar[len(bar) // 2] == pytest.approx([247, 247, 247], abs=12)
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("color", ["phase", "friction"])
 def test_the_cloud_by_its_colours(egg, tmp_path, color):
@@ -253,6 +256,7 @@ def test_truth_and_reconstruction_side_by_side(cube):
     assert bodies[0].mean() > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
 def test_the_view_that_explains(make, tmp_path):
@@ -335,6 +339,7 @@ def test_growth(make, tmp_path):
         assert (earlier & ~later).sum() < 0.01 * earlier.sum()
 
 
+@pytest.mark.slow
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch):
     monkeypatch.setattr(canvas, "can_render", lambda *_: False)
     for change, name, sentence in (

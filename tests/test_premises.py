@@ -20,6 +20,8 @@ from tests.robustness.bounds import false_statements
 from tests.robustness.shot_rods import noisy
 from tests.wrong_recordings import scaled
 
+pytestmark = pytest.mark.slow
+
 BODY = trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0]))
 ROD = replace(scan3d.Rod.of_length(0.028), diameter_m=0.0)
 
@@ -62,7 +64,6 @@ def test_a_right_recording_has_no_relative_error(noise):
     assert relative_error(recorded(noise)) == 0.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "noise"),
     [
@@ -81,7 +82,6 @@ def test_a_force_so_large_that_no_error_of_the_wrench_changes_a_contact_is_a_con
     assert checked(recording, scan3d.reconstruct(recording)).contradictions
 
 
-@pytest.mark.slow
 def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     recording = recorded(1e-4, rod=tapered(0.1))
     cloud = scan3d.reconstruct(recording)
@@ -89,7 +89,6 @@ def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     assert checked(recording, cloud).contradictions
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "noise"),
     [
@@ -114,7 +113,6 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     assert data["certificate"]["relative_error"] == analysis.cloud.calibration.relative
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["none", "weight of steel 0.3x50"])
 def test_nothing_is_false_for_a_rod_that_was_integrated_on_its_own(fault):
     """A short version of `tests.robustness.faults`: a polytope, which few places show to be touched by another rod."""
@@ -144,7 +142,6 @@ def test_a_contact_in_a_dent_contradicts_convexity(phase, code, noise, undiagnos
     assert not cloud.convex or code in [each.code for each in found]
 
 
-@pytest.mark.slow
 def test_the_report_says_what_is_assumed_and_what_was_tested():
     analysis = analyse(recorded(1e-4), BODY, "hull")
     data = report(analysis, settings={})["certificate"]

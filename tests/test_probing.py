@@ -165,6 +165,7 @@ def _recording(mesh, rod, rng, *, noise=0.0, model="spatial", friction=0.3, grav
 
 
 # gravity leaves the planes of the planar model
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "model"), [*((name, "planar") for name in list(RODS)[:3]), *((n, "spatial") for n in RODS)]
 )
@@ -210,6 +211,7 @@ def test_rods_stick_within_the_friction_angle_and_slide_beyond_it():
             np.testing.assert_allclose(felt.moment[0], _integrated(felt.force[0]), atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["uniform", "tapered"])
 def test_where_the_end_slips_over_a_bump_the_rod_does_not_go_through_it(name):
     """What is felt is only stated where the rod, bent as its equations say, lies nowhere in the body."""
@@ -252,6 +254,7 @@ def _integrated(force):
     return -kappa * np.cross(aside / size, [0.0, 1.0, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "model", "noise"),
     [
@@ -331,6 +334,7 @@ def _explored(mesh, planes, seed):
     return np.concatenate(points), np.concatenate(starts), unknown
 
 
+@pytest.mark.slow
 def test_the_planner_finds_what_is_unknown_by_feeling_alone():
     mesh = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     points, starts, unknown = _explored(mesh, 65, seed=0)
@@ -342,6 +346,7 @@ def test_the_planner_finds_what_is_unknown_by_feeling_alone():
     np.testing.assert_array_equal(again, points[: len(again)])
 
 
+@pytest.mark.slow
 def test_plans_far_from_the_origin_take_no_more_memory():
     mesh = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     near = _explored(mesh, 17, seed=0)[0]
@@ -403,6 +408,7 @@ def test_a_rig_probes_a_body_round_after_round():
     assert "of the surface touched" in session.known
 
 
+@pytest.mark.slow
 def test_rods_that_cannot_sweep_a_hollow_body_probe_it_alone_if_they_are_straight():
     body = trimesh.creation.annulus(r_min=8, r_max=11, height=20, sections=16)
     few = {"slices": 2, "samples": 8}
@@ -461,6 +467,7 @@ def test_a_folder_has_the_normals_of_its_probed_contacts(tmp_path, no_pictures):
     assert int(counts["slices"].split()[0]) == len(np.unique(made.slice[~made.probed]))
 
 
+@pytest.mark.slow
 def test_a_stop_force_that_pushes_the_end_off_is_told():
     body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     for force, told in ((0.3, True), (0.01, False)):
@@ -474,6 +481,7 @@ def test_a_rod_whose_end_sticks_is_drawn_straight():
     np.testing.assert_allclose(line[:, [0, -1]].T, [[0, 0, 0], [0, 1, 0]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_is_known_is_not_told_of_a_surface_by_another_method():
     body = trimesh.creation.torus(10, 3.5, major_sections=24, minor_sections=12)
     recording = scan3d.simulate(body, scan3d.Plan(slices=1, probing="only"))

@@ -137,6 +137,7 @@ def test_a_smaller_tolerance_and_friction_may_come_later(rod, direction):
             np.testing.assert_array_equal(getattr(later, column.name), getattr(at_once, column.name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_contacts_come_with_their_errors(direction):
     for rod in (planar.Rod(), planar.Rod(curvature=0.3), planar.Rod(tip_diameter=0.5)):

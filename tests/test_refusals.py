@@ -307,6 +307,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "make", "given", "words"), CASES)
 def test_arguments_that_can_not_be_used(kind, make, given, words):
     with pytest.raises(kind, match=words) as error:

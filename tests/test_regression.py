@@ -14,6 +14,8 @@ from scan3d.surfaces.choice import surface
 from scan3d.surfaces.estimates import Contacts, fit_planes, regression
 from tests.robustness.shot_rods import with_noise
 
+pytestmark = pytest.mark.slow
+
 
 def contacts(points, sd):
     entries = np.tile(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * sd**2, (len(points), 1))
@@ -44,7 +46,6 @@ def test_the_planes_of_a_box_are_found_within_their_standard_errors():
     assert np.abs(planes.offsets - offsets).max() < 0.04
 
 
-@pytest.mark.slow
 def test_a_ball_is_fitted_by_many_planes_and_less_noise_by_more():
     chance = np.random.default_rng(3)
     directions = unit(chance.normal(size=(8000, 3)))
@@ -64,7 +65,6 @@ def scan(mesh, fraction, slices, seed=1):
     return scan3d.reconstruct(with_noise(recording, *sizes, np.random.default_rng(seed)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["cube.stl", *(pytest.param(name, marks=pytest.mark.trust) for name in ("hexagonal_prism.obj", "cylinder.off"))],
@@ -82,7 +82,6 @@ def test_with_one_per_cent_of_noise_bodies_with_edges_are_found_ten_times_better
     assert error < certificate(bounds, found).bound
 
 
-@pytest.mark.slow
 def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
     # planes above and below a narrow band, of which few contacts tell, meet outside it
     gem = trimesh.convex.convex_hull(
@@ -105,7 +104,6 @@ def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
     assert abs(cut.volume_error) < 0.9 * abs(whole.volume_error)
 
 
-@pytest.mark.slow
 def test_with_one_per_cent_of_noise_the_egg_is_found_to_a_third_of_the_largest_error_of_a_contact():
     mesh = scan3d.load_mesh(MESHES / "egg.stl")
     cloud = scan(mesh, 0.01, 28)
@@ -118,7 +116,6 @@ def test_with_one_per_cent_of_noise_the_egg_is_found_to_a_third_of_the_largest_e
     assert error < off.max() / 20
 
 
-@pytest.mark.slow
 def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
     mesh = scan3d.load_mesh(MESHES / "lens.off")
     cloud = scan(mesh, 0.002, 25)
@@ -129,7 +126,6 @@ def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
     assert scan3d.compare(surface(cloud, "support"), mesh).hausdorff > 0.02 * np.linalg.norm(mesh.extents)
 
 
-@pytest.mark.slow
 def test_contacts_in_space_are_fitted_as_well():
     mesh = trimesh.creation.box((30, 40, 50))
     recording = scan3d.simulate(
@@ -143,7 +139,6 @@ def test_contacts_in_space_are_fitted_as_well():
     assert error < 0.01 * np.linalg.norm(mesh.extents)
 
 
-@pytest.mark.slow
 def test_where_few_contacts_show_a_plane_the_polytope_goes_half_way_to_its_vertices():
     mesh = trimesh.creation.cone(20.0, 40.0, sections=6)
     mesh.apply_translation([0, 0, -10])

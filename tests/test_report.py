@@ -11,6 +11,8 @@ from scan3d.bounds.constraints import sigmas
 from scan3d.pipeline import analyse
 from scan3d.report import measurands, report, summary, touched
 
+pytestmark = pytest.mark.slow
+
 
 def measured(analysis):
     found = measurands(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
@@ -28,7 +30,6 @@ def exact():
     return scan3d.simulate(turned_box(), scan3d.Plan(slices=12, samples=24, sweeps=8))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("model", "noise"), [("planar", 0.0), ("planar", 1e-4), ("spatial", 1e-4)])
 def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     mesh = turned_box()
@@ -54,7 +55,6 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     assert factor == (sigmas(len(analysis.cloud)) if noise else None)
 
 
-@pytest.mark.slow
 def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     analysis = analyse(replace(exact, force_N=exact.force_N * [1.0, -1.0]))
     assert analysis.warnings
@@ -69,7 +69,6 @@ def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     assert "volume" not in dict(summary(report(analysis, settings={}))[1])
 
 
-@pytest.mark.slow
 def test_intervals_of_a_body_that_is_known_to_rounding_contain_it():
     mesh = trimesh.creation.box((40, 40, 40))
     found = measured(analyse(scan3d.simulate(mesh, scan3d.Plan(slices=8)), mesh))
@@ -79,7 +78,6 @@ def test_intervals_of_a_body_that_is_known_to_rounding_contain_it():
         assert 0 <= found[f"extent along {axis}"]["expanded_uncertainty"] < 1e-9
 
 
-@pytest.mark.slow
 def test_a_true_body_that_refutes_the_certificate_is_told(exact):
     rows = [
         dict(summary(report(analyse(exact, mesh), settings={}))[1]) for mesh in (turned_box(), trimesh.creation.box())
@@ -88,7 +86,6 @@ def test_a_true_body_that_refutes_the_certificate_is_told(exact):
     assert "another one, in another unit or place, or a premise" in rows[1]["refuted"]
 
 
-@pytest.mark.slow
 def test_the_summary_states_the_volume_with_its_interval(exact):
     data = report(analyse(exact), settings={})
     row = dict(summary(data)[1])["volume"]
@@ -97,7 +94,6 @@ def test_the_summary_states_the_volume_with_its_interval(exact):
     assert middle - off <= low < high <= middle + off
 
 
-@pytest.mark.slow
 def test_what_is_stated_of_the_body_stays_stated(exact):
     """A convex body that is stated not to be convex is none for any part of the program; nor is one whose rod is wrong."""
     hollow = replace(exact, source={**exact.source, "convex": False})

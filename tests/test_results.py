@@ -41,6 +41,7 @@ def test_scan_writes_what_the_command_writes(made, tmp_path):
     assert json.loads(to_json(result.report)) == json.loads((folder / "report.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_folder_gives_the_result_back(made):
     folder, result = made
     stored = scan3d.open(folder)
@@ -136,6 +137,7 @@ def test_a_folder_without_a_scan(tmp_path):
         scan3d.open(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_folder_of_a_reconstruction_holds_its_recording(made, tmp_path):
     """Also in the folder of the scan, where it is not written again."""
     log = str(made[0] / "recording.csv")

@@ -19,6 +19,8 @@ from tests.robustness.bounds import false_bounds
 from tests.sample_bodies import MESHES
 from tests.spatial_scans import recorded
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def egg():
@@ -66,7 +68,6 @@ QUICK = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "name"),
     [
@@ -104,7 +105,6 @@ def test_contacts_move_as_predicted(request, model, name):
     assert found.max() == pytest.approx(size, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_the_length_moves_contacts_to_the_tip_only(flat):
     rig = RigUncertainty(("length_relative",), [[1e-6]])
     cloud = touched(dataclasses.replace(flat, rig=rig))
@@ -128,7 +128,6 @@ def test_a_rig_without_errors_moves_nothing(flat):
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_a_turned_and_scaled_world_changes_nothing(request, model):
     recording = request.getfixturevalue("flat" if model == "planar" else "space")
@@ -142,7 +141,6 @@ def test_a_turned_and_scaled_world_changes_nothing(request, model):
         np.testing.assert_allclose(getattr(other, name), expected, rtol=1e-4, atol=1e-6 * expected.max())
 
 
-@pytest.mark.slow
 def test_the_bound_allows_for_the_calibration(flat, egg):
     """A seed in which the bound without the term holds as well, and one in which it is too small."""
     too_small = 0
@@ -159,7 +157,6 @@ def test_the_bound_allows_for_the_calibration(flat, egg):
     assert too_small >= 1
 
 
-@pytest.mark.slow
 def test_noise_and_calibration_share_the_probability(flat):
     noisy = dataclasses.replace(flat, noise_force_N=1e-7, noise_moment_Nm=1e-9)
     cloud = touched(dataclasses.replace(noisy, rig=typical(six=False)))
@@ -170,7 +167,6 @@ def test_noise_and_calibration_share_the_probability(flat):
     assert enclosure(cloud).bound > enclosure(without(cloud)).bound
 
 
-@pytest.mark.slow
 def test_the_spatial_bound_allows_for_the_calibration(space):
     cloud = touched(dataclasses.replace(space, rig=typical(0.05)))
     better = touched(dataclasses.replace(space, rig=typical(0.005)))
@@ -184,7 +180,6 @@ def test_the_spatial_bound_allows_for_the_calibration(space):
     assert certificate(bounds, hull).bound > certificate(smaller, hull).bound
 
 
-@pytest.mark.slow
 def test_errors_of_the_calibration_are_no_contradiction(flat, space, undiagnosed):
     """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""
     found = with_rig(flat, typical(six=False), 1)

@@ -58,6 +58,7 @@ def test_bounding_bodies_lie_in_their_polyhedra(text):
     assert heights.max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("around", "model"), list(itertools.product(BODIES[:3], ("planar", "spatial"))))
 def test_paths_between_sweeps_keep_clear_of_the_bounding_body_and_the_table(around, model):
     plan = RigPlan(parse_envelope(around), model=model, slices=6, samples=33)

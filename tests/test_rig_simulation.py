@@ -65,6 +65,7 @@ def test_contacts_in_space_lie_on_the_fattened_body():
     assert np.abs(distances(cloud.centre_points, mesh) - radius).max() < 1e-9 * length
 
 
+@pytest.mark.slow
 def test_the_planar_rig_is_the_planar_scan(egg):
     """The same sweeps as in a simulated scan give the same reactions."""
     plan = scan3d.Plan(slices=3, sweeps=4, samples=20, friction=0.3)
@@ -261,6 +262,7 @@ def test_files_of_faults_are_read(tmp_path):
     assert read_faults(tmp_path / "none.toml") == Faults()
 
 
+@pytest.mark.slow
 def test_an_exact_log_is_a_recording(rig_folder, egg):
     recording = scan3d.read_recording(rig_folder / "log.csv")
     poses = read_poses(rig_folder / "poses.csv")

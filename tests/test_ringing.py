@@ -29,6 +29,7 @@ def ring(wrench, angle, damping, size, length, rows, turn=0.0):
     return size * np.hstack([np.cross(swing, rod), LEVER * length * swing])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize("turn", [0.0, 0.8])
 @pytest.mark.parametrize("angle", [0.06, 0.31, 1.1, 2.0, 2.9])

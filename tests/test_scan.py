@@ -206,6 +206,7 @@ def test_metres_and_millimetres_give_the_same_shape():
     assert in_m.rod_length == pytest.approx(1e-3 * in_mm.rod_length, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["x", (1, 1, 0), (0.3, -0.8, 0.5)], ids=str)
 def test_slicing_along_an_axis_equals_turning_the_body(axis):
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
@@ -236,6 +237,7 @@ RODS = [dict(rod=dataclasses.replace(parse_rod(text), diameter_m=0.0)) for text 
 PLANS = [*RODS, *(dict(clearance=part) for part in (1e-6, 0.9, 0.999)), dict(axis="xyz", friction=(0.0, 0.4))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "plan"),
     [
@@ -287,6 +289,7 @@ def test_sweeps_without_contact_are_recorded():
     assert (np.any(recording.force_N != 0, axis=1)[~beyond].reshape(-1, 10)[:, 1:]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("few", [{"samples": 2}, {"samples": 20, "noise": 1e-300}])
 def test_the_fewest_samples_and_the_least_noise_give_a_result(few):
     """No slice is enclosed by its known normals, and variances are 0."""

@@ -144,6 +144,7 @@ def test_slices_are_closed_lines_through_their_contacts(egg):
         assert length <= np.pi * np.ptp(outline[:, 0]) * 1.05
 
 
+@pytest.mark.slow
 def test_a_hollow_body_is_cut_by_its_slices_and_seen_from_the_side_of_its_pictures():
     """Contacts ordered around a slice went to and fro between walls, and those of all probings were one line."""
     scene = ring()
@@ -178,6 +179,7 @@ def check_lengths(sweep, scene):
     assert (start @ sweep.axes[1] > 0.999 * np.linalg.norm(start, axis=1)).all()
 
 
+@pytest.mark.slow
 def test_rods_touch_where_the_contacts_are_in_whatever_order_these_are(egg):
     number = shown_sweep(egg).number
     for scene in (egg, replace(egg, contacts=egg.contacts[np.random.default_rng(5).permutation(len(egg.contacts))])):
@@ -187,6 +189,7 @@ def test_rods_touch_where_the_contacts_are_in_whatever_order_these_are(egg):
     assert (np.diff(shown_sweep(egg).base @ shown_sweep(egg).axes[0]) < 0).all()
 
 
+@pytest.mark.slow
 def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
     cloud, sides = scan3d.reconstruct(ellipsoid.recording), set()
     for number in np.unique(cloud.sweep)[::3]:
@@ -207,6 +210,7 @@ def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
     assert sides == {-1.0, 1.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scanned", [any_rod, any_rod_in_space])
 def test_any_rod_touches_where_the_contacts_are(scanned):
     scene = scanned()

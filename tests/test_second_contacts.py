@@ -106,6 +106,7 @@ def test_the_second_contact_at_the_tip_is_recovered(name):
     assert found.slope[0] == pytest.approx(np.radians(second[3]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_second_contact_is_recovered_where_nothing_was_swept_before():
     """Of a measured log no sweep is simulated, which would import what the recovery needs."""
     x0, (f0x, f0y, m0z), friction, (first, second) = rows_of("peanut")
@@ -148,6 +149,7 @@ def test_the_path_of_a_tip_over_a_bump_is_not_free():
     assert not len(passed(*swept.reactions, swept.s1, places, single=single)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rod", [planar.Rod(tip_diameter=0.9), planar.Rod(curvature=-0.5), planar.Rod(tip_diameter=1 / 6, curvature=-0.5)]
 )

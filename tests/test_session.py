@@ -18,6 +18,8 @@ from scan3d.poses import Move
 from scan3d.session import around_contacts
 from scan3d.simulation.rig import simulate_rig, standing
 
+pytestmark = pytest.mark.slow
+
 HULL = ("--method", "hull", "--quiet")
 
 
@@ -40,7 +42,6 @@ def batches(egg):
     return session, bounds
 
 
-@pytest.mark.slow
 def test_the_bound_shrinks_and_holds(batches, egg):
     session, bounds = batches
     assert bounds[1] < 0.75 * bounds[0]
@@ -51,7 +52,6 @@ def test_the_bound_shrinks_and_holds(batches, egg):
     assert session.surface.is_watertight
 
 
-@pytest.mark.slow
 def test_further_sweeps_lie_where_none_were(batches):
     session, _ = batches
     heights = np.unique(np.round(1000 * session.recording.position_m[:, 2], 6))
@@ -65,7 +65,6 @@ def test_further_sweeps_lie_where_none_were(batches):
     assert (session.ask(8).position_m == poses.position_m).all()
 
 
-@pytest.mark.slow
 def test_a_session_in_space(egg):
     session = Session("cylinder:60x60", model="spatial", slices=8, samples=32, seed=3)
     session.tell(recorded(egg, session.ask()))
@@ -102,7 +101,6 @@ def test_what_a_session_refuses(egg):
         low.ask()
 
 
-@pytest.mark.slow
 def test_a_bounding_body_of_contacts(egg, batches):
     session, _ = batches
     body = around_contacts(session.recording, "planar")
@@ -114,7 +112,6 @@ def test_a_bounding_body_of_contacts(egg, batches):
         around_contacts(scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4)), "planar")
 
 
-@pytest.mark.slow
 def test_next_gives_poses_until_the_tolerance_is_met(rig_folder, tmp_path, capsys, no_pictures):
     assert main(["reconstruct", str(rig_folder / "log.csv"), "--out", str(tmp_path / "first"), *HULL]) == 0
     run = ["next", str(tmp_path / "first"), "--out", str(tmp_path / "p.csv")]
@@ -163,7 +160,6 @@ ROD = Rod.of_length(0.08).without_thickness()
 AXES = {"x": (1, 0, 0), "down": (0, 0, -1), "oblique": (0.3, -0.2, 1), "level and oblique": (1, 2, 0), "two": None}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "axis", [pytest.param(axis, marks=pytest.mark.trust if "level" in axis or axis == "down" else ()) for axis in AXES]
 )
@@ -192,7 +188,6 @@ def moved_by(recording, turn, shift):
     )
 
 
-@pytest.mark.slow
 def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
     """They keep away from what is known; where the bounding body or the table is elsewhere, there is a sentence."""
     recording = scan3d.simulate(egg, scan3d.Plan(slices=5, samples=24, rod=ROD))
@@ -205,7 +200,6 @@ def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
         elsewhere.ask()
 
 
-@pytest.mark.slow
 def test_next_writes_no_file_where_no_sweep_stays_above_the_floor(egg, tmp_path, capsys, no_pictures):
     plan = scan3d.Plan(slices=3, samples=16, axis="x", rod=Rod.of_length(0.08))
     scan3d.write_recording(scan3d.simulate(egg, plan), tmp_path / "log.csv")

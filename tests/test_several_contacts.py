@@ -47,6 +47,7 @@ def reference(make, text):
 REFERENCES = {name: reference(*given) for name, given in NUMBERS.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "reactions", "contacts"), REFERENCES.values(), ids=REFERENCES)
 def test_reference_values(given, reactions, contacts):
     make, x0, friction = given

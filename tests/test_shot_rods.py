@@ -36,6 +36,7 @@ def slopes(rod, internal):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", RODS.values(), ids=RODS)
 def test_rods_reach_their_contact_from_the_clamp(rod):
     slope, places, found = states(rod)

@@ -116,6 +116,7 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("spatial", [False, True])
 def test_the_window(spatial):

@@ -45,6 +45,7 @@ def test_runs_follow_the_outline_on_the_side_of_the_rod():
     np.testing.assert_allclose(path.point[first, 0], [outlines.touch_down(body) for body in range(3)], atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("polygon", [gear(0.3), planar.Polygon(letter_l_outline(1.2))], ids=["gear", "letter L"])
 def test_clearance_agrees_with_signed_distances(polygon):
     rng = np.random.default_rng(3)

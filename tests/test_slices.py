@@ -26,6 +26,7 @@ ANGLES = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 NORMALS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 
 
+@pytest.mark.slow
 def test_between_its_normals_a_slices_support_lies_between_contacts_and_support_lines(polytope):
     """The upper bound by linear programming over the half-planes of the known normals."""
     _, by_axis = polytope

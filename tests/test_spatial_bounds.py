@@ -76,6 +76,7 @@ def test_wrong_normals_make_the_bound_larger_not_false():
     assert bounds.bound >= largest_difference(bounds.inner, body)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, 6, 12, 30])
 def test_few_contacts_bound_nothing_or_rightly(count):
     body = Ellipsoid(np.array([1.0, 0.8, 0.6]))

@@ -10,6 +10,8 @@ from scipy.optimize import root
 from planar.elastica import bend
 from scan3d.spatial.normals import Source, Track, along_sweeps, angles, frictionless
 
+pytestmark = pytest.mark.slow
+
 AXES, CENTRE = np.array([0.9, 0.675, 0.45]), np.array([0.0, 1.075, 0.0])
 
 
@@ -90,7 +92,6 @@ def rubbing():
     return track((0.1125, 0.2, -0.25), 64, FRICTION)
 
 
-@pytest.mark.slow
 def test_normals_agree_with_the_ellipsoids(rubbing):
     normals, exact = along_sweeps(rubbing), ellipsoid_normal(rubbing.point)
     known = normals.source != Source.UNKNOWN
@@ -110,7 +111,6 @@ def test_normals_agree_with_the_ellipsoids(rubbing):
     assert np.median(np.abs(ratio - FRICTION)) < 1e-6
 
 
-@pytest.mark.slow
 def test_slip_and_path_agree_where_friction_acts_against_the_slip_and_not_else(rubbing):
     normals = along_sweeps(rubbing)
     both = np.isfinite(normals.disagreement)
@@ -125,7 +125,6 @@ def test_slip_and_path_agree_where_friction_acts_against_the_slip_and_not_else(r
     assert np.median(other.disagreement[both] / other.disagreement_sd[both]) > 100
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4])
 def test_noise_gives_the_errors_that_are_stated(rubbing, noise):
     n = len(rubbing.row)
@@ -149,7 +148,6 @@ def test_noise_gives_the_errors_that_are_stated(rubbing, noise):
     assert np.percentile(ratio, 95) < 3.5
 
 
-@pytest.mark.slow
 def test_no_derivative_crosses_snaps_gaps_and_stick(rubbing):
     n = len(rubbing.row)
     exact = ellipsoid_normal(rubbing.point)
@@ -176,7 +174,6 @@ def test_no_derivative_crosses_snaps_gaps_and_stick(rubbing):
     assert not normals.sticks[sample < 39].any()
 
 
-@pytest.mark.slow
 def test_without_friction_the_angles_say_so(rubbing):
     rng = np.random.default_rng(2)
     assert frictionless(np.zeros(50))

@@ -27,6 +27,7 @@ def random_friction():
     return recorded((0.0, 0.4), diameter=0.01, substeps=1, directions=8, heights=10)
 
 
+@pytest.mark.slow
 def test_contacts_and_normals_of_few_sweeps(few):
     recording, points, normals = few
     cloud = scan3d.reconstruct(recording)

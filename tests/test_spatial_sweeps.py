@@ -106,6 +106,7 @@ def test_sweeps_end_where_the_contact_comes_too_near():
     assert ((ended.end == End.NEAR) == near.any(axis=1)).all()
 
 
+@pytest.mark.slow
 def test_sweeps_touch_leave_and_are_stable(scene):
     result, touching = scene.result, np.isfinite(scene.result.s1)
     assert touching.any(axis=1).mean() > 0.3
@@ -135,6 +136,7 @@ def test_the_rod_of_the_reactions_lies_outside_the_body_from_the_clamp_to_the_co
     assert np.abs(part - scene.result.s1[touching]).max() < 1e-3  # chords of the arc
 
 
+@pytest.mark.slow
 def test_contacts_are_tangential_or_the_tip(scene):
     result, touching = scene.result, np.isfinite(scene.result.s1)
     lean = (result.tangent * result.normal).sum(axis=2)
@@ -286,6 +288,7 @@ def test_the_scene_may_be_mirrored(resting):
     assert np.abs(result.moment - other.moment * [-1, -1, 1])[rows].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_clamp_may_be_turned_about_its_axis(resting):
     semi_axes, axes, position, clamps, friction, result = resting
     angle = np.random.default_rng(13).uniform(-np.pi, np.pi, 30)

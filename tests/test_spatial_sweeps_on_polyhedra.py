@@ -73,6 +73,7 @@ def test_strokes_on_a_flat_face_that_press_and_lift():
     assert np.abs(result.point[touching][:, 2] - 0.0025).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_sweeps_that_are_not_followed_past_snaps_end_there():
     """Up to there they are the same, to the last bit."""
     mesh = trimesh.creation.box(np.full(3, 1 / np.sqrt(3)))

@@ -29,6 +29,7 @@ def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
     assert np.abs(fitted.points(normals) - points).max() < 1e-3 * min(axes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (3.0, 2.0, 1.0), (5.0, 5.0, 0.5)])
 def test_the_facets_of_a_fitted_body_lie_as_far_inside_as_its_vertices_outside(axes):
     semi_axes, normals = np.array(axes), directions(8000)

@@ -50,6 +50,7 @@ def residual(swept):
     return max(np.abs(values).max() for values in residuals if len(values))
 
 
+@pytest.mark.slow
 @every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0, 5.0])
 def test_states_are_equilibria(contour, friction):
@@ -64,6 +65,7 @@ def test_states_are_equilibria(contour, friction):
     assert np.abs(alpha - swept.slope - np.arctan(friction))[loaded].max() < 1e-9
 
 
+@pytest.mark.slow
 @every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
 def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(contour, friction):

@@ -18,6 +18,8 @@ from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.surfaces import certificate, enclosure, surface
 from tests.robustness.bounds import false_bounds
 
+pytestmark = pytest.mark.slow
+
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 
 
@@ -80,7 +82,6 @@ def test_the_table_cuts_slices_along_other_axes(axis):
     assert false_bounds(mesh, bounds) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "radius"), [(0, 0.02), (1, 0.0), (2, 0.02)])
 def test_the_table_closes_contacts_in_space(seed, radius):
     shape = Ellipsoid(np.array([1.0, 0.8, 0.6])) if seed == 0 else random_polyhedron(seed)
@@ -117,7 +118,6 @@ def reconstructed(log, out, capsys, *options):
     return json.loads((out / "report.json").read_text())["certificate"], capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_the_commands_know_the_table(rig_folder, tmp_path, capsys, no_pictures):
     known, text = reconstructed(rig_folder / "log.csv", tmp_path / "out", capsys)
     assert known["table"] == 0.0

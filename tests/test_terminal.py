@@ -152,6 +152,7 @@ def signs():
     return "".join(sorted(found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "gbk", "cp932", "cp949", "cp437", "latin-1", "utf-8"])
 def test_every_sign_is_legible_in_every_encoding(monkeypatch, encoding):
     """Against the encodings' own tables: a sign is printed as it is, or spelled in letters, never as a question mark."""

@@ -21,6 +21,8 @@ from scan3d.report import report, summary
 from scan3d.simulation.felt import grown_extent, sections
 from tests.robustness.bounds import false_statements
 
+pytestmark = pytest.mark.slow
+
 WIRE = parse_rod("steel:0.3x50")
 
 
@@ -53,7 +55,6 @@ def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
         assert off.min() > -3e-10 * length
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-4, *(pytest.param(noise, marks=pytest.mark.trust) for noise in (0.0, 1e-3))])
 def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     truth, larger = ball(20.0), ball(20.15)
@@ -68,7 +69,6 @@ def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     assert thick.contact_error.max() < 0.01 + 200 * noise
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(20) if seed != 6)])
 def test_scans_with_thick_rods_are_certified(seed):
     body = random_body(seed)
@@ -132,7 +132,6 @@ def test_a_thick_rod_with_friction_bends_as_a_thin_one_beyond_its_contact():
     np.testing.assert_allclose(np.abs(end[3]), lever * force * np.cos(angle), rtol=1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(1, 20))])
 def test_bounds_hold_with_friction_on_the_surface_of_the_rod(seed):
     body = random_body(seed)
@@ -161,7 +160,6 @@ def test_an_unknown_diameter_is_asked_for():
     assert rows["stated"]["rod's radius"] == "contacts moved by 150 µm from the rod's centre line"
 
 
-@pytest.mark.slow
 def test_a_tapered_rod_moves_contacts_by_its_radius_there_and_certifies_nothing():
     cone = replace(WIRE, tip_diameter_m=0.1e-3)
     log = scan3d.simulate(ball(20.0), scan3d.Plan(slices=6, samples=20, sweeps=4, rod=cone))

@@ -46,6 +46,7 @@ def bounded(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
     return certificate(bounds, surface).bound / apart, low * (1 - 1e-9) <= mesh.volume <= high * (1 + 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (1e-4, 0.0), (1e-4, 1e-2), (1e-3, 5e-2)])
 @pytest.mark.parametrize("seed", range(4))  # and 200 bodies in `make trust`
 def test_bounds_hold_for_convex_bodies(seed, noise):
@@ -86,6 +87,7 @@ def test_a_side_without_touches_is_not_bounded():
     assert enclosure(scan3d.touches(points)).bound == np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["mug", "chair", *(pytest.param(name, marks=pytest.mark.trust) for name in ("bowl", "torus"))]
 )
@@ -100,6 +102,7 @@ def test_bodies_of_any_shape(name):
     assert scan3d.compare(surface, mesh).hausdorff < 0.05 * size
 
 
+@pytest.mark.slow
 def test_touches_that_the_surface_lacks_are_told(call, tmp_path, no_pictures):
     """A bent sheet that is thinner than touches are apart."""
     sheet = trimesh.boolean.union(
@@ -143,6 +146,7 @@ def test_errors_that_are_not_stated_take_the_certificate_back(call, tmp_path, no
     assert "warning: " in err
 
 
+@pytest.mark.slow
 def test_one_command_from_points_to_a_certificate(call, tmp_path):
     mesh = random_body(5)
     points, normals = touched(mesh, 500, 3)
@@ -332,6 +336,7 @@ def crossed(mesh, places, outward):
     return (begin - enters.max(axis=1)[:, None] * outward)[hits], planes[first, :3][hits]
 
 
+@pytest.mark.slow
 def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsys, no_pictures):
     mesh, count = hull(random_body(3).vertices), 60
     points, normals = touched(mesh, count, 0)
@@ -356,6 +361,7 @@ def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsy
     assert "has 0 touches with normals" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_next_names_what_touches_of_a_body_that_is_not_convex_leave_unknown(tmp_path, no_pictures):
     mesh = scan3d.load_mesh(MESHES / "hollow" / "mug.stl")
     points, normals = touched(mesh, 3000, 0)

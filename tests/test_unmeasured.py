@@ -135,6 +135,7 @@ def test_a_saturated_channel_is_seen_and_a_peak_is_not():
         np.testing.assert_array_equal(found.rows, np.flatnonzero(at))
 
 
+@pytest.mark.slow
 def test_jumps_of_the_zero_are_found_to_the_row():
     for seed in range(8):
         draw = np.random.default_rng(seed)
@@ -185,6 +186,7 @@ def test_sweeps_are_cut_where_rows_were_not_measured():
 QUICK = [("none", True), ("none", False), ("stopped", True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "of_log"),
     [
@@ -204,6 +206,7 @@ def test_a_fault_at_random_is_named_and_nothing_certified_is_false(name, of_log,
         assert found.named, found.said
 
 
+@pytest.mark.slow
 def test_steps_that_taring_hides_are_stated(log):
     """Of a sensor whose steps are ten times its noise, the air tells little of the errors in contact, and these are shared."""
     _, logged_ = log
@@ -216,6 +219,7 @@ def test_steps_that_taring_hides_are_stated(log):
     assert coarse.noise.moment_Nm >= 0.99 * step[3] / 12**0.5
 
 
+@pytest.mark.slow
 def test_a_log_of_which_only_repeated_rows_can_be_read_is_refused(log):
     """The places before the sensor stopped are none: what is left of the log was not measured."""
     rows = rows_of(log[1])

@@ -226,6 +226,7 @@ def test_a_result_is_the_old_or_the_new_one(place, monkeypatch, how, step):
     assert {*outcomes} == {False, True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "step"), HOW)
 def test_a_recording_has_the_table_and_the_rod_of_one_run(tmp_path, how, step):
     path = tmp_path / "log.csv"

@@ -248,8 +248,6 @@ def _layout(section: Section) -> Layout:
     if len(delimiter) > 1:
         raise section.error("delimiter", f"must be one character, or {', '.join(named)}; got {delimiter!r}")
     decimal = section.word("decimal", (".", ","))
-    if delimiter == decimal:
-        raise section.error("decimal", f"and delimiter can't both be {decimal!r}")
     return Layout(
         delimiter,
         decimal,
