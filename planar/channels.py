@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions, rows_of
 from planar.reconstruction import jacobian
-from planar.rods import Rod, solve
+from planar.rods import Rod, as_rod, solve
 
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8
@@ -86,7 +86,7 @@ def complete(
     columns = [np.zeros_like(np.asarray(x0, dtype=float)) if column is None else column for column in given.values()]
     reactions = checked_reactions(x0, *columns)
     missing, side = NAMES.index(absent[0]), -direction
-    rod = Rod() if rod is None else rod.steady()
+    rod = as_rod(rod).steady()
     if side < 0:
         rod = rod.mirrored()
     # a sweep in +x is the mirror image of a sweep in -x
@@ -254,7 +254,7 @@ def follow(
         whether contacts may slip sideways.  Friction acts against the slip, whose direction the contacts tell: both are found
         in turns.
     """
-    rod, zeta = Rod() if rod is None else rod, float(np.arctan(friction))
+    rod, zeta = as_rod(rod), float(np.arctan(friction))
     slip = _Slip(np.full(len(moment), zeta), np.zeros(len(moment)), np.zeros(len(moment)))
     if not (friction and in_space):
         found = _followed(frames, moment, start, slip, rod, noise, start_sd, friction_angle_sd)
@@ -494,7 +494,7 @@ def complete_by_moment(
         )
     nothing = np.zeros_like(np.asarray(m0z, dtype=float))
     base, _, _, moments = checked_reactions(x0, nothing, nothing, m0z)
-    count, side, rod = len(base), -direction, Rod() if rod is None else rod
+    count, side, rod = len(base), -direction, as_rod(rod)
     frames = Frames(
         np.zeros(count, dtype=np.intp),
         np.column_stack([base, np.zeros(count)]),
@@ -513,7 +513,7 @@ def touched_at(rate: ArrayLike, *, rod: Rod | None = None) -> Array:
     that is hardly bent: ``3/s1²`` if it is uniform.  NaN where the contact would lie past the tip.  Noise σ of both moments is
     one of ``√2 σ s1³ / (6 dx0)`` in the place on a uniform rod.  Raises ValueError for a rod that is curved or has weight.
     """
-    rod = Rod() if rod is None else rod
+    rod = as_rod(rod)
     if rod.curvature or rod.weight:
         raise ValueError("a single touch is located along a straight rod without weight; sweep a rod with either")
     # between so many places that of a touch is interpolated to 1e-9 rod lengths

@@ -615,8 +615,8 @@ class Polygon(Contour):
     def __repr__(self) -> str:
         return f"Polygon of {len(self.vertices)} vertices"
 
-    def __post_init__(self) -> None:
-        vertices = _tidy(_checked_points(self.vertices, "a polygon", "vertices"))
+    def __init__(self, vertices: ArrayLike) -> None:
+        vertices = _tidy(_checked_points(vertices, "a polygon", "vertices"))
         vertices.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
 
@@ -679,8 +679,8 @@ class Curve(_Looped):
     def __repr__(self) -> str:
         return f"Curve through {len(self.points)} points"
 
-    def __post_init__(self) -> None:
-        points = _checked_points(self.points, "a curve", "points")
+    def __init__(self, points: ArrayLike) -> None:
+        points = _checked_points(points, "a curve", "points")
         if len(points) > 1 and (points[0] == points[-1]).all():
             points = points[:-1]
         _, area = _extent(points)

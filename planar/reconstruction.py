@@ -27,7 +27,7 @@ from planar import plots
 from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
-from planar.rods import METHODS, Rod, Solved, shapes, solve
+from planar.rods import METHODS, Rod, Solved, as_rod, shapes, solve
 from planar.sweeping import Phase
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def reconstruct(
     if zero.shape not in ((), reactions.x0.shape) or not ((zero >= 0) & (zero < 1)).all():
         given = f"an array of the shape {zero.shape}" if zero.ndim else f"{zero}"
         raise ValueError(f"tolerance must lie between 0 and 1, got {given}")
-    rod = Rod() if rod is None else rod
+    rod = as_rod(rod)
     if rod.down.shape not in ((2,), (len(reactions.x0), 2)):
         raise ValueError(f"gravity must have one direction, or one for each row, got {len(rod.down)}")
     if method == "will" and not rod.is_straight_and_uniform:
@@ -330,7 +330,7 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
     """
     check_direction(direction)
     columns = checked_reactions(np.zeros_like(np.asarray(f0x, dtype=float)), f0x, f0y, m0z)
-    return _solved_with_slopes(columns, direction, Rod() if rod is None else rod)[1]
+    return _solved_with_slopes(columns, direction, as_rod(rod))[1]
 
 
 def _solved_with_slopes(reactions: Reactions, direction: int, rod: Rod) -> tuple[Solved | None, Array]:

@@ -212,6 +212,15 @@ class Rod:
         return replace(self, curvature=-self.curvature, gravity=gravity)
 
 
+def as_rod(rod: Rod | None) -> Rod:
+    """The rod, for None that of the paper.  Raises TypeError for what is none."""
+    if rod is None:
+        return Rod()
+    if not isinstance(rod, Rod):
+        raise TypeError(f"rod must be a planar.Rod, or None for the straight and uniform one, got {rod!r}")
+    return rod
+
+
 class Marched(NamedTuple):
     """Contacts (n,) of marched rods in rod lengths, relative to the clamp; NaN where there is none."""
 
@@ -239,7 +248,7 @@ def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
 
 def free_reactions(rod: Rod) -> tuple[float, float, float]:
     """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away."""
-    moment, nothing, rod = 0.0, np.zeros((2, 1)), rod.steady()
+    moment, nothing, rod = 0.0, np.zeros((2, 1)), as_rod(rod).steady()
     for _ in range(100):  # a clamp that gives: a contraction for clamps that hold
         state = started(rod, np.array([np.pi / 2 + rod.compliance * moment]), np.zeros(1), nothing, nothing)
         before, moment = moment, -float(excess(overhang(rod), 0.0, state)[0])

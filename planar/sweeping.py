@@ -24,7 +24,7 @@ from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction,
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
-from planar.rods import Rod, shapes
+from planar.rods import Rod, as_rod, shapes
 from planar.segments import UNIFORM, Equilibria, Segments, Tables, cut_intervals
 from planar.several import Rods, reactions
 from planar.singles import INSIDE
@@ -185,7 +185,7 @@ def sweep(
         samples = np.size(friction) if np.ndim(friction) == 1 else 200  # over which curves look smooth
     if direction == 1:
         base = None if base is None else -np.asarray(base, dtype=float)
-        rod = None if rod is None else rod.mirrored()
+        rod = None if rod is None else as_rod(rod).mirrored()
         return _mirrored(sweep(mirrored(contour), friction, base=base, samples=samples, rod=rod))
     return sweep_all([contour], [friction], base=None if base is None else [base], samples=samples, rod=rod)[0]
 
@@ -230,7 +230,8 @@ def sweep_all(
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     for contour in contours:
         check_contour(contour)
-    if rod is not None and rod.down.shape not in ((2,), (len(contours), 2)):
+    rod = as_rod(rod)
+    if rod.down.shape not in ((2,), (len(contours), 2)):
         raise ValueError(f"gravity must have one direction, or one for each sweep, got {len(rod.down)}")
     frictions = [_checked_friction(mu) for mu in friction]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
@@ -239,7 +240,7 @@ def sweep_all(
     convex = [i for i, contour in enumerate(contours) if contour.is_convex]
     others = [i for i in range(len(contours)) if not contours[i].is_convex]
     if others:
-        if not (rod is None or rod.is_straight_and_uniform):
+        if not rod.is_straight_and_uniform:
             raise ValueError("a rod that is not straight, uniform and weightless is swept along convex contours only")
         columns = [frictions[i] for i in others], [bases[i] for i in others]
         sweeps.update(zip(others, _sweep_any([contours[i] for i in others], *columns, spread, single), strict=True))
@@ -248,10 +249,10 @@ def sweep_all(
     groups += [([i], contours[i].path()) for i in convex if i not in polygons]
     for members, path in groups:
         columns = [frictions[i] for i in members], [bases[i] for i in members]
-        of = UNIFORM if rod is None or rod.is_straight_and_uniform else AnyRod(rod.rows(np.array(members)))
+        of = UNIFORM if rod.is_straight_and_uniform else AnyRod(rod.rows(np.array(members)))
         sweeps.update(zip(members, _sweep_path(path, *columns, spread, of), strict=True))
     found = [sweeps[i] for i in range(len(contours))]
-    return _outside(found, contours, rod) if rod is not None and (rod.curvature or rod.weight) else found
+    return _outside(found, contours, rod) if rod.curvature or rod.weight else found
 
 
 def _outside(sweeps: list[Sweep], contours: Sequence[Contour], rod: Rod) -> list[Sweep]:
@@ -565,7 +566,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod:
     is by default the uniform one; a curved or heavy one may touch at a second place, which no event tells.  Raises ValueError
     for such a rod, and as `planar.sweep` does.
     """
-    if rod is not None and (rod.curvature or rod.weight):
+    rod = as_rod(rod)
+    if rod.curvature or rod.weight:
         raise ValueError("events are those of rods that are straight at rest and weightless, tapered or not")
     if np.ndim(friction) or not (np.isfinite(friction) and friction >= 0):
         raise ValueError(f"friction must be one number >= 0, got {friction}")
@@ -575,7 +577,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod:
     contour = contour if side == 1 else mirrored(contour)
     path = contour.path()
     pieces = np.arange(path.offsets[-1])
-    of = UNIFORM if rod is None or rod.is_straight_and_uniform else AnyRod(rod)
+    of = UNIFORM if rod.is_straight_and_uniform else AnyRod(rod)
     table = segments.cut(path, np.zeros_like(pieces), pieces, np.full(len(pieces), np.arctan(friction)), of)
 
     # rows on which x0 falls below all of its values before; a snap skips the others

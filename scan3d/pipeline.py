@@ -159,8 +159,10 @@ def _performed(
 
         scenes: list[Scene] = []
         draw = partial(_begin, drawing, truth, scenes)
-        with result.kept(files) as how_to_go_on, said_if_ended(how_to_go_on):
-            reach = settings.get("reach", 0.0)
+        reach, mesh = settings.get("reach", 0.0), result.inputs.get("mesh")
+        options = [*(["--truth", str(mesh)] if mesh else []), *(["--hull"] if settings.get("hull") else [])]
+        options += ["--method", method] * (method != "auto") + ["--reach", str(reach)] * (reach > 0)
+        with result.kept(files, options) as how_to_go_on, said_if_ended(how_to_go_on):
             analysis = analyse(measured, truth, method, model, reach=reach, source=source, clock=clock, made=draw)
             bodies = ("surface", "true body")
             size = analysis.surface.extents  # None without a surface

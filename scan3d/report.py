@@ -46,6 +46,7 @@ _IN_WORDS = {
 }
 # The part of simulated probings without an equilibrium beyond which a summary says so.
 _MANY_LOST = 0.2
+_NO_REACH = "no reach is stated, and the rod has no bead"
 
 
 @dataclass(frozen=True, repr=False)
@@ -295,7 +296,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
 
 def _between(reached: Reach | None) -> dict[str, Any]:
     """The volumes of the outer body and between it and the inner one, why there is none, and where they are farthest apart."""
-    found, why = None, "no reach is stated, and the rod has no bead"
+    found, why = None, _NO_REACH
     if reached is not None:
         found, why = reached.volume_between, reached.refuted or reached.unbounded or "the inner body is empty"
     return {
@@ -591,8 +592,12 @@ def _certified(data: Mapping[str, Any]) -> str:
                 f"; {gaps} places outside of the surface are narrower than the bead, or not on its way" if gaps else ""
             )
             return f"from outside, by the bead: the body lies in that of outer.ply{left}"
+        if (why := certified.get("volume_between_missing")) and why != _NO_REACH:
+            nothing = why if why.startswith("nothing") else f"nothing: {why}"
+        elif counts.get("probings"):
+            nothing += "; --reach states how fine its features are"
         if counts.get("probings"):
-            return f"{nothing}; --reach states how fine its features are"
+            return nothing
         if data.get("model") == "touches":
             exact = not data["noise"]["contact_median"]
             return nothing + ("; if the touches have errors, state them by --place-sd and --normal-sd" if exact else "")

@@ -405,10 +405,10 @@ def test_a_surface_is_left_fewer_faces_or_as_few_as_an_error_allows(ring, tmp_pa
     place = {tuple(point): k for k, point in enumerate(np.round(scale * before.points, 9).tolist())}
     rows = [place[tuple(point)] for point in np.round(after.points, 9).tolist()]
     assert np.array_equal(after.columns["known"], before.columns["known"][rows])
-    assert after.columns["bound"] == pytest.approx(scale * before.columns["bound"][rows], rel=1e-6)
-    if "error" in far:
-        fine = trimesh.Trimesh(scale * before.points, before.faces, process=False)
-        assert scan3d.compare(mesh, fine).hausdorff <= far["error"]
+    # the bounds have grown by as much as the surface has moved
+    apart = scan3d.compare(mesh, trimesh.Trimesh(scale * before.points, before.faces, process=False)).hausdorff
+    assert after.columns["bound"] - scale * before.columns["bound"][rows] == pytest.approx(apart, rel=1e-3)
+    assert apart <= far.get("error", np.inf)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -80,7 +81,7 @@ _WAITS = _CODE.replace("print(", f"from scan3d import pipeline\n{_WAIT}\nprint("
 
 def ended(number, out):
     """What a scan that is ended after its simulation writes to stderr."""
-    child = start("scan", CUBE, "--out", out, *FEW, code=_WAITS)
+    child = start("scan", CUBE, "--out", out, *FEW, "--method", "hull", code=_WAITS)
     assert child.stdout.readline() == "simulated\n"
     child.send_signal(number)
     return child.communicate(timeout=60)[1]
@@ -90,17 +91,17 @@ def ended(number, out):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_what_was_simulated_is_kept_and_one_goes_on_with_it(tmp_path, capsys, no_pictures, number):
     """Against the same scan without an end: the recording is the same, byte for byte."""
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    assert main(["scan", str(CUBE), "--out", str(whole), *FEW]) == 0
-    on = ["reconstruct", str(out / "recording.csv"), "--out", str(out)]
-    said = f"scan3d: interrupted; the recording is kept: go on with scan3d {' '.join(on)}\n"
+    whole, out = tmp_path / "whole", tmp_path / "an out"
+    assert main(["scan", str(CUBE), "--out", str(whole), *FEW, "--method", "hull"]) == 0
+    on = ["reconstruct", str(out / "recording.csv"), "--out", str(out), "--truth", str(CUBE), "--method", "hull"]
+    said = f"scan3d: interrupted; the recording is kept: go on with scan3d {shlex.join(on)}\n"
     assert ended(number, out) == (said if number == signal.SIGINT else "")
     assert {path.name for path in out.glob("[!.]*")} == {"recording.csv", "recording.toml", "report.json"}
     for name in ("recording.csv", "recording.toml"):
         assert (out / name).read_bytes() == (whole / name).read_bytes()
     assert main(["export", str(out), "--to", str(tmp_path / "a.stl")]) == 1
     assert main(["show", str(out), "--html", str(tmp_path / "a.html")]) == 1
-    assert capsys.readouterr().err.count(" ".join(on)) == 2
+    assert capsys.readouterr().err.count(shlex.join(on)) == 2
     shutil.copytree(out, tmp_path / "kept", symlinks=True)
     for go_on in ([*on, "--quiet"], ["scan", str(CUBE), "--out", str(out), *FEW]):
         shutil.rmtree(out)

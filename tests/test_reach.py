@@ -14,7 +14,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
-from scan3d.report import report
+from scan3d.report import report, summary
 from tests.robustness.shot_rods import noisy
 
 pytestmark = pytest.mark.slow
@@ -78,6 +78,10 @@ def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     assert "without features finer than the reach" in certificate["premise"]
     assert certificate["volume_between"] == analysis.reach.volume_between
     assert certificate["volume_between_missing"] == ""
+    found = analyse(replace(recording, rod=recording.rod.without_thickness()), reach=12.0)
+    assert (
+        "nothing: the body has features finer than 12 mm" in dict(summary(report(found, settings={}))[1])["certified"]
+    )
     without = report(replace(analysis, reach=None), settings={})["certificate"]
     assert without["volume_between"] is None
     assert "no reach is stated" in without["volume_between_missing"]
@@ -144,9 +148,10 @@ def test_a_reach_finer_than_the_slices_are_apart_bounds_nothing(monkeypatch):
     assert found.bound == np.inf
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"), [*((R, "positive number") for R in (0.0, -1.0, np.nan)), (0.5, "at least")]
-)
-def test_a_reach_is_positive_and_not_too_fine_for_the_grid(wrong, words):
-    with pytest.raises(InputError, match=words):
-        reach(*peanut(), wrong)
+def test_a_reach_is_positive_and_not_too_fine_for_the_grid():
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match="positive number"):
+            reach(*peanut(), wrong)
+    assert (
+        "a reach of 500 µm is too fine for a body of this size; it must be at least" in reach(*peanut(), 0.5).unbounded
+    )

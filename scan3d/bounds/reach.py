@@ -114,12 +114,11 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices and probings.
 
     R
-        0 for a body of any shape, of which a bead on the rod's tip proves the outer body alone, if it is not too small.
+        0 for a body of any shape, of which a bead on the rod's tip proves the outer body alone; neither may be too small.
     surface
         a closed `trimesh.Trimesh` that the bound is for; None: any between the two bodies.
 
-    Raises InputError for an R that is no positive number without a bead, for one that is too fine for the grid, and as
-    `surfaces.any_shape`.
+    Raises InputError for an R that is no positive number without a bead, and as `surfaces.any_shape`.
     """
     bead = cloud.bead_radius
     if not (np.isfinite(R) and R >= 0 and R + bead > 0):
@@ -136,12 +135,11 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     error = float(errors.max())
     grid = Grid.around(contacts, R + bead)
     if grid.step * _COARSEST > (R or bead):
-        least = f"is too fine for a body of this size; it must be at least {length(_COARSEST * grid.step, cloud.unit)}"
-        if R:
-            raise InputError(f"a reach of {length(R, cloud.unit)} {least}")
         nothing = below(np.full(grid.shape, np.inf), 0.0, grid)
-        why = f"nothing bounds the body: the radius of a bead, {length(bead, cloud.unit)}, {least}"
-        return Reach(nothing, nothing, np.inf, None, why, _ANY_SHAPE, [])
+        least = length(_COARSEST * grid.step, cloud.unit)
+        what = f"a reach of {length(R, cloud.unit)}" if R else f"the radius of a bead, {length(bead, cloud.unit)},"
+        why = f"nothing bounds the body: {what} is too fine for a body of this size; it must be at least {least}"
+        return Reach(nothing, nothing, np.inf, None, why, _NOTHING_FINER if R else _ANY_SHAPE, [])
     free = _passed_by_beads(recording, cloud, R) if bead else _passed(recording, cloud, sheets, R, error)
     half = grid.step * np.sqrt(3) / 2
     to_contact = grid.distance(contacts)

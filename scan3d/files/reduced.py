@@ -1,6 +1,7 @@
 """Less of a surface: one with fewer triangles, and cross-sections as curves, for programs that draw and mill.
 
-manifold3d does both: it leaves a surface closed, and what remains of its vertices are vertices of before, with their bounds.
+manifold3d does both: it leaves a surface closed, and what remains of its vertices are vertices of before; their bounds
+grow by how far the coarser surface is from the whole one.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.choices import one_of
-from scan3d.comparison import one_sided_distances, prepare
+from scan3d.comparison import compare, one_sided_distances, prepare
 from scan3d.errors import InputError, UsageError
 from scan3d.files.shapes import Shape, in_unit, read_part
 from scan3d.files.text import rows_as_text
@@ -75,8 +76,14 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
             f"the surface has no closed form of {faces} faces, and the coarsest that was found has {found.num_tri()}; ask for "
             "as many or more"
         )
-    rows = cKDTree(shape.points).query(mesh.vert_properties[:, :3])[1]
-    return replace(shape, rows=shape.rows[rows], faces=mesh.tri_verts.astype(np.int32))
+    rows = shape.rows[cKDTree(shape.points).query(mesh.vert_properties[:, :3])[1]]
+    if "bound" in (shape.rows.dtype.names or ()):
+        import trimesh
+
+        meshes = ((shape.points, shape.faces), (mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64)))
+        # between its vertices the surface is elsewhere than the whole one
+        rows["bound"] += compare(*(trimesh.Trimesh(*one, process=False) for one in meshes)).hausdorff
+    return replace(shape, rows=rows, faces=mesh.tri_verts.astype(np.int32))
 
 
 def cross_section(shape: Shape, plane: str) -> list[Array]:

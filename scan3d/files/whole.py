@@ -15,11 +15,12 @@ import json
 import os
 import platform
 import secrets
+import shlex
 import shutil
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -88,8 +89,9 @@ class Replacement:
         return data
 
     @contextmanager
-    def kept(self, files: Mapping[str, bytes]) -> Iterator[str]:
-        """A context in which the recording that a scan has just made is in the folder; how to go on if the scan is ended.
+    def kept(self, files: Mapping[str, bytes], options: Sequence[str]) -> Iterator[str]:
+        """A context in which the recording that a scan has just made is in the folder; how to go on, with these options, if the
+        scan is ended.
 
         It is a result of its own, whose report names nothing else, and which a later run replaces.  An earlier result is not
         replaced by it, because half of a new one is worth less: then nothing is kept, and the words are empty.  Nor is it
@@ -101,7 +103,7 @@ class Replacement:
             return
         for name, data in files.items():
             self.put(name, data)
-        self.commit({"schema": SCHEMA, "versions": {"scan3d": version("scan3d")}})
+        self.commit({"schema": SCHEMA, "versions": {"scan3d": version("scan3d")}, "options": [*options]})
         try:
             yield f"the recording is kept: {_how_to_go_on(self.folder)}"
         except InputError:
@@ -389,7 +391,9 @@ def check_finished(place: Path) -> None:
 
 
 def _how_to_go_on(place: Path) -> str:
-    return f"go on with scan3d reconstruct {place / RECORDING[0]} --out {place}"
+    options = json.loads(locate(place / REPORT).read_text(encoding="utf-8")).get("options", [])
+    words = ["scan3d", "reconstruct", str(place / RECORDING[0]), "--out", str(place), *options]
+    return f"go on with {shlex.join(words)}"
 
 
 def unchanged(place: Path, kind: Kind = RESULTS) -> set[str]:

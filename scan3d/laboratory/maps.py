@@ -539,7 +539,7 @@ def _toml(value: object) -> str:
 
 
 _HEAD = """\
-# What the columns of the table mean; see "Import" in the manual of scan3d.  Check every line.
+# What the columns of the table mean; see "Measurements" in the manual of scan3d.  Check every line.
 # table_height_m = 0.0          # height z of the table, if the body stands on one
 """
 _BAG = """
