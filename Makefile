@@ -23,12 +23,12 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/test ## run all tests but the long ones of make trust (about a quarter of an hour on two cores)
-	@echo "All tests, $(WORKERS) at a time: about a quarter of an hour on two cores.  make fast takes seven minutes."
+test: .venv/test ## run all tests but the long ones of make trust (ten minutes on two cores)
+	@echo "All tests, $(WORKERS) at a time: ten minutes on two cores.  make fast takes a minute and a half."
 	$(PYTEST) $(ARGS)
 
-fast: .venv/test ## run the tests that are not marked slow (seven minutes on two cores)
-	@echo "The tests that are not marked slow, $(WORKERS) at a time: about seven minutes on two cores."
+fast: .venv/test ## run the tests that are not marked slow (a minute and a half on two cores)
+	@echo "The tests that are not marked slow, $(WORKERS) at a time: a minute and a half on two cores."
 	$(PYTEST) -m "not slow and not trust" $(ARGS)
 
 lint: .venv/dev ## check style, format, types and imports
