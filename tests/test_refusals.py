@@ -47,6 +47,11 @@ def recording(field, change):
     return dataclasses.replace(made, **{field: change(getattr(made, field))})
 
 
+def across(row):
+    """A recording with one clamp whose z axis lies across the plane of its sweep."""
+    return recording("quaternion", lambda a: np.where(np.arange(len(a))[:, None] == row, [0.5**0.5, 0.5**0.5, 0, 0], a))
+
+
 def compared(mesh):
     """A mesh on either side of a comparison."""
     with pytest.raises(InputError, match="the surface should "):
@@ -170,6 +175,9 @@ OF_SCAN3D = [
         ({"field": "moment_Nm", "change": lambda a: a + 1e70}, r"moment_Nm holds 1e\+70; check its unit"),
         # its square is no number of a computer: a calibration ended in an OverflowError
         ({"field": "noise_moment_Nm", "change": lambda _: 1e300}, r"deviation of the noise is 1e\+300; check its unit"),
+    ]),
+    (lambda row: scan3d.reconstruct(across(row)), [
+        ({"row": 4}, "turned by more than 45° against the rest of its sweep in 1 of 48 rows, first in row 5"),
     ]),
     (lambda mesh: scan3d.simulate(mesh, scan3d.Plan(slices=4, samples=20)), [
         ({"mesh": "none.stl"}, r"there is no mesh file none\.stl"),

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, evenly, ratio
 from scan3d.cloud import Cloud, Tilt
+from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
 from scan3d.recording import Recording
@@ -72,8 +73,18 @@ def planes(recording: Recording, normals: Array, centre: Array, digits: float) -
         (3,) a place amid the contacts, in metres, over which the heights of tilted planes are compared.
     digits
         largest error of a contact's place by the digits of the poses, in metres.
+
+    Raises InputError if a row's plane lies across its slice.
     """
     number, axis, height = slices_of(recording, normals)
+    across = np.abs((normals * axis[number]).sum(axis=1)) < np.sqrt(0.5)
+    if across.any():
+        row = int(across.argmax())
+        raise InputError(
+            f"a sweep lies in one plane, but the z axis of the clamp is turned by more than 45° against the rest of its sweep "
+            f"in {across.sum()} of {len(across)} rows, first in row {row + 1}: check the columns sweep, qw, qx, qy and qz, or "
+            "choose the spatial model if the sensor measures six axes"
+        )
     slope, length = _slope(normals, axis[number]), recording.rod.length_m
     if slope * length <= digits + SAME_HEIGHT * length:
         return Planes(number, axis, height, None)
