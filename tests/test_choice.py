@@ -53,6 +53,15 @@ def test_a_smooth_body_is_fitted(ball):
     assert scan3d.compare(fitted, mesh).relative < 1e-4
 
 
+@pytest.mark.parametrize(("slices", "noise"), [(6, 1e-2), (9, 3e-2)])
+def test_a_fit_does_not_follow_noise_between_few_slices(slices, noise):
+    mesh = scan3d.load_mesh(MESHES / "egg.stl")
+    plan = scan3d.Plan(slices=slices, sweeps=4, samples=320, spacing="uniform", noise=noise)
+    fitted = surface(scan3d.reconstruct(scan3d.simulate(mesh, plan)))
+    assert fitted.metadata["method"] == "support"
+    assert scan3d.compare(fitted, mesh).relative < 6e-3
+
+
 def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hull(ball):
     mesh, cloud = ball
     bounds = enclosure(cloud)

@@ -40,6 +40,8 @@ EXACT = NEGLIGIBLE
 NEIGHBOURS = 12
 # Degrees of the harmonic series, tried in this order until the error at the held-out contacts falls no further.
 _DEGREES = (8, 16)
+# The degree that noise may leave besides.
+_LOW_DEGREE = 4
 # A higher degree is kept if its error is below this many times that of the degree before.
 _DEGREE_GAIN = 0.8
 # Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.
@@ -59,7 +61,7 @@ def with_smooth_fit(cloud: Cloud) -> Cloud:
     used = np.setdiff1d(rows, held_out)
     sd = cloud.select(used).sd_along(cloud.normals[used])
     best: tuple[SupportFit, float] | None = None
-    for degree in _DEGREES:
+    for degree in _degrees(cloud, rows):
         if len(used) < _PER_COEFFICIENT * (degree + 1) ** 2:
             break
         fitted = fit_support(cloud.points[used], cloud.normals[used], degree, sd, cloud.table)
@@ -75,6 +77,28 @@ def with_smooth_fit(cloud: Cloud) -> Cloud:
     normals = fitted.normals(cloud.points, cloud.normals[near])
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
     return replace(cloud, normals=normals, normal_source=source, fit=fitted)
+
+
+def _degrees(cloud: Cloud, rows: Index) -> list[int]:
+    """The degrees to try for some contacts of slices: those below the number of slices, since between fewer nothing holds the
+    series; under noise the one of them with which others predict every second slice best."""
+    slices = np.unique(cloud.slice[rows])
+    first, *higher = (_LOW_DEGREE, *_DEGREES) if cloud.noisy else _DEGREES
+    degrees = [first, *(degree for degree in higher if degree < len(slices))]
+    if not cloud.noisy or len(degrees) == 1:
+        return degrees
+    between = slices[np.argsort(cloud.slice_height[slices])][1:-1:2]
+    away = np.isin(cloud.slice[rows], between)
+    kept, held_out = rows[~away], rows[away]
+    sd = cloud.select(kept).sd_along(cloud.normals[kept])
+
+    def error(degree: int) -> float:
+        if len(kept) < _PER_COEFFICIENT * (degree + 1) ** 2:
+            return np.inf
+        fitted = fit_support(cloud.points[kept], cloud.normals[kept], degree, sd, cloud.table)
+        return _held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
+
+    return [min(degrees, key=error)]
 
 
 def _held_out_rows(rows: Index) -> Index:
