@@ -81,11 +81,12 @@ def with_smooth_fit(cloud: Cloud) -> Cloud:
 
 def _degrees(cloud: Cloud, rows: Index) -> list[int]:
     """The degrees to try for some contacts of slices: those below the number of slices, since between fewer nothing holds the
-    series; under noise the one of them with which others predict every second slice best."""
+    series; under noise, if half of them are too few, the one with which others predict every second slice best."""
     slices = np.unique(cloud.slice[rows])
-    first, *higher = (_LOW_DEGREE, *_DEGREES) if cloud.noisy else _DEGREES
+    uncertain = cloud.noisy and len(slices) <= 2 * _DEGREES[-1]
+    first, *higher = (_LOW_DEGREE, *_DEGREES) if uncertain else _DEGREES
     degrees = [first, *(degree for degree in higher if degree < len(slices))]
-    if not cloud.noisy or len(degrees) == 1:
+    if not uncertain or len(degrees) == 1:
         return degrees
     between = slices[np.argsort(cloud.slice_height[slices])][1:-1:2]
     away = np.isin(cloud.slice[rows], between)
