@@ -469,6 +469,7 @@ def _of_contacts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What was scanned and touched, how well contacts are known, and what was left out."""
     counts, certified, rod, errors = data["counts"], data["certificate"], data.get("rod") or {}, data["contact_error"]
     mesh, probings = data.get("mesh") or {}, counts.get("probings", 0)
+    swept = counts["slices"] + counts.get("empty_slices", 0)
     if filled := mesh.get("filled"):
         dents = f", which fills dents up to {length(filled['depth'], mesh['unit'])} deep" if filled["depth"] else ""
         part = "" if filled["volume_relative"] is None else f", {share(filled['volume_relative'])} of its volume"
@@ -476,13 +477,13 @@ def _of_contacts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if data.get("model") == "touches":
         yield "touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"
     else:
-        where = "space" if data.get("model") == "spatial" else _count(counts["slices"], "slice")
+        where = "space" if data.get("model") == "spatial" else _count(swept, "slice")
         sweeps = f"{_count(counts['sweeps'] - probings, 'sweep')} in {where}" if counts["sweeps"] > probings else ""
         moves = " and ".join(filter(None, [sweeps, _count(probings, "probing") if probings else ""]))
         yield "contacts", f"{counts['contacts']} of {counts['samples']} samples, {moves}"
     if errors:
         yield "contact error", f"{length(errors['max'], errors['unit'])} at most{of_scanned(data, 'from')}"
-    most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
+    most = data["settings"].get("slices", 0)
     if data.get("model") == "planar" and swept < most and not probings:
         yield "slices", f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
     if (assumed := data["friction"].get("assumed")) is not None:
@@ -539,7 +540,10 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "volume", f"{known}, certified{of_scanned(data)}"
     if "second_contacts" in counts:
         left_out = counts["second_contacts"]
-        yield "second contacts", f"{left_out} samples left out, whose rod touched at another place as well"
+        words = f"{left_out} samples left out, whose rod touched at another place as well"
+        if left_out > counts["contacts"]:
+            words += ", or whose force and moment are wrong: check the frame of the sensor, and calibrate"
+        yield "second contacts", words
         probings, lost = counts.get("probings", 0), counts["unresolved"] or 0
         if lost > _MANY_LOST * (probings + lost) and probings:
             yield "unresolved", f"{lost} probings left out, whose end slips off; a smaller --stop-force leaves fewer"
