@@ -42,6 +42,8 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
     solid = _solid(shape.points, shape.faces)
     size, enough, left = float(np.linalg.norm(np.ptp(shape.points, axis=0))), None, [solid]
     low, high = 0.0, 0.0
+    # a tolerance moves the surface by little less
+    least = error / 8 if error else size / 2**20
 
     def goes_on(tolerance: float) -> bool:
         """Whether a larger tolerance may leave fewer faces, and is wanted; what this one leaves is kept."""
@@ -56,7 +58,7 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
         return True
 
     # larger tolerances do not always leave fewer faces
-    for high in size * 2.0 ** np.arange(-20, 1):
+    for high in least * 2.0 ** np.arange(21):
         if not goes_on(high):
             break
         low = high
