@@ -79,6 +79,14 @@ def same_rows(log, found):
     return log.row[log.row >= 0]
 
 
+def test_a_wrench_of_the_wrong_sign_is_noted(tmp_path, recording):
+    turned = Rig(shows="rod-on-clamp")
+    log, right, wrong = track(recording, air=60), map_of(recording.rod, EXACT), map_of(recording.rod, turned)
+    columns = table(log, EXACT)
+    assert not imported(tmp_path / "a.csv", columns, right).summary.notes
+    assert "would pull the rod on (fx above 0)" in " ".join(imported(tmp_path / "b.csv", columns, wrong).summary.notes)
+
+
 def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording):
     log = track(recording, air=60)
     found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))

@@ -301,7 +301,7 @@ def _converted(table: Table, map: Map) -> Imported:
         noise_force_N=recording.noise_force_N,
         noise_moment_Nm=recording.noise_moment_Nm,
         noise_factor=sensed.factor,
-        notes=(*notes, *_contact_notes(wrench[kept], touching, known | recording.six_axis, map)),
+        notes=(*notes, *_contact_notes(wrench[kept], touching, probing[kept], known | recording.six_axis, map)),
     )
     return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
 
@@ -727,12 +727,18 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
         yield words, changed("inverse", of=of)
 
 
-def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[str]:
+def _contact_notes(wrench: Array, touched: Mask, probing: Mask, known: Mask, map: Map) -> list[str]:
     """What the channels (6,) that are known, and the wrench (n, 6) of the recording's rows, say about its use."""
     silent = (
         "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
     )
     notes = [] if touched.any() else [silent]
+    swept = touched & ~probing
+    if known[0] and (onward := int((wrench[swept, 0] > 0).sum())) > _HALF * swept.sum():
+        notes.append(
+            f"in {onward} of {swept.sum()} rows of sweeps in contact the body would pull the rod on (fx above 0): check the "
+            f"sign of force and moment, shows and the frame under [sensor] of {map.name}"
+        )
     further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
     if not known.all() and further:
         text = (
