@@ -518,8 +518,7 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if distances:
         unit = distances["unit"]
         yield "Hausdorff distance", _distance(distances, unit) + of_scanned(data, "to")
-        bound = data["certificate"]["bound"]
-        if is_finite(bound) and distances["two_sided"] > bound * (1 + ROUNDING):
+        if _refuted(data):
             yield (
                 "refuted",
                 "the true body is farther away than what is certified: it is another one, in another unit or place, or a "
@@ -529,7 +528,7 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "to the mesh itself", _distance(distances["mesh_itself"], unit)
         if near := distances.get("reached"):
             part = share(near["max"] / data["comparison"]["diagonal"])
-            over = f"{length(near['mean'], unit)} in the mean, over {share(near['share'])} of the area"
+            over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share'])} of the area"
             if near["in_cavities"]:
                 over += f"; {share(near['in_cavities'])} bounds closed cavities, where nothing from outside comes"
             yield "where touched", f"{length(near['max'], unit)} at most ({part} of the diagonal), {over}"
@@ -642,6 +641,9 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
         return touched(coverage, certified["unit"]) + missing
     if is_finite(certified["bound"]):
         body = of_scanned(data) or " of the body"
+        if _refuted(data):
+            most = length(certified["bound"], certified["unit"], up=True)
+            return f"refuted: the true mesh is farther away than the {most} that touch certifies"
         return f"{_within(certified)}{body}, certified from touch{_with_confidence(certified)}"
     if is_cut:
         shares = (
@@ -649,6 +651,12 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
         )
         return f"{shares}, {_unknown(coverage, certified['unit'])}"
     return "nothing certified: the summary says what is missing"
+
+
+def _refuted(data: Mapping[str, Any]) -> bool:
+    """Whether the true body is farther away than what is certified."""
+    distances, bound = data["hausdorff"], data["certificate"]["bound"]
+    return bool(distances) and is_finite(bound) and distances["two_sided"] > bound * (1 + ROUNDING)
 
 
 def _within(certified: Mapping[str, Any]) -> str:
@@ -679,8 +687,12 @@ def of_scanned(data: Mapping[str, Any], word: str = "of") -> str:
 def touched(coverage: Mapping[str, Any], unit: str) -> str:
     """How much of the surface of a body was touched, and what remains, where and why."""
     estimated = f", {share(coverage['estimated'])} estimated" if coverage["estimated"] else ""
-    known = np.floor(1000 * coverage["known"]) / 10  # never more than it is
-    return f"{known:g} % of the surface touched{estimated}, {_unknown(coverage, unit)}"
+    return f"{_at_least(coverage['known'])} of the surface touched{estimated}, {_unknown(coverage, unit)}"
+
+
+def _at_least(part: float) -> str:
+    """A part of a surface in per cent, never more than it is."""
+    return f"{np.floor(1000 * part) / 10:g} %"
 
 
 def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
@@ -708,7 +720,7 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         figures.append(("size", f"{' × '.join(size)} {symbol}"))
     figures += rows
     if data["warnings"]:
-        figures.append(("contradicted", ", ".join(warning["code"] for warning in data["warnings"])))
+        figures.append(("warnings", "; ".join(warning["message"] for warning in data["warnings"])))
     if diagnosis := data.get("diagnosis"):
         figures.append(("diagnosis", diagnosis["message"]))
     return tuple(figures)

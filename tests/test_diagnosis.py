@@ -317,6 +317,7 @@ def test_the_report_and_the_page_name_the_fault():
     assert data["diagnosis"]["fault"] == "turned-z"
     json.dumps(data["diagnosis"])
     assert data["diagnosis"]["message"] in dict(key_figures(data))["diagnosis"]
+    assert all(warning["message"] in dict(key_figures(data))["warnings"] for warning in data["warnings"])
     right = report(analyse(in_plane(), method="hull"), settings={})
     assert right["diagnosis"] is None
     assert "diagnosis" not in dict(key_figures(right))

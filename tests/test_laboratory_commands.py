@@ -16,7 +16,9 @@ from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.columns import parquet_bytes
 from scan3d.files.text import to_toml
-from scan3d.laboratory.maps import guess_map
+from scan3d.laboratory.importing import convert, load
+from scan3d.laboratory.maps import guess_map, read_map
+from scan3d.pictures.views import import_figure
 
 RIG = Rig(noise=0.002)
 
@@ -103,6 +105,16 @@ def test_a_dry_run_shows_rows_and_writes_a_picture_only(place, capsys):
         main(["import", "raw.csv", "--map", "rig.toml", "--dry-run", "--quiet"]) == 0
     )  # a picture of ours is replaced
     assert (place / "raw.png").read_bytes() == drawn
+
+
+def test_the_picture_of_an_import_shades_the_rows_of_sweeps(place):
+    chosen = read_map("rig.toml")
+    found = convert(load("raw.csv", chosen), chosen)
+    clock = found.clock - found.clock[0]
+    for shade in import_figure(found).axes[1].collections:
+        for path in shade.get_paths():
+            low, high = path.vertices[:, 0].min(), path.vertices[:, 0].max()
+            assert (found.sweep[(clock >= low) & (clock <= high)] >= 0).all()
 
 
 @pytest.mark.slow

@@ -79,11 +79,13 @@ def test_intervals_of_a_body_that_is_known_to_rounding_contain_it():
 
 
 def test_a_true_body_that_refutes_the_certificate_is_told(exact):
-    rows = [
-        dict(summary(report(analyse(exact, mesh), settings={}))[1]) for mesh in (turned_box(), trimesh.creation.box())
-    ]
-    assert "refuted" not in rows[0]
-    assert "another one, in another unit or place, or a premise" in rows[1]["refuted"]
+    right, wrong = (
+        summary(report(analyse(exact, mesh), settings={})) for mesh in (turned_box(), trimesh.creation.box())
+    )
+    assert right[0].startswith("within ")
+    assert "refuted" not in dict(right[1])
+    assert wrong[0].startswith("refuted: the true mesh is farther away than the ")
+    assert "another one, in another unit or place, or a premise" in dict(wrong[1])["refuted"]
 
 
 def test_the_summary_states_the_volume_with_its_interval(exact):

@@ -317,9 +317,12 @@ def test_the_same_seed_gives_the_same_bytes(rig_folder, tmp_path):
     assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     for name in ("raw.csv", "raw_map.toml"):
         assert (tmp_path / name).read_bytes() == (rig_folder / name).read_bytes()
+    completed = (tmp_path / "raw_map.toml").read_text() + "# by hand\n"
+    (tmp_path / "raw_map.toml").write_text(completed)
     (tmp_path / "other.toml").write_text(FAULTS.replace("seed = 3", "seed = 4"))
     assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     assert (tmp_path / "raw.csv").read_bytes() != (rig_folder / "raw.csv").read_bytes()
+    assert (tmp_path / "raw_map.toml").read_text() == completed
     # the command line takes precedence over the file, for the faults as well
     other = (tmp_path / "raw.csv").read_bytes()
     assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0

@@ -306,8 +306,8 @@ def simulate_rig(
     check_path(out)
     inputs = {"mesh": mesh, "list of poses": poses_file, "file of faults": faults_file}
     inputs |= {"TOML file of the poses": sidecar(poses_file), "file of settings": options.config}
+    mapped = map_path(out).exists() and not overwrite  # a map is there to be completed by hand
     if faults_file:
-        check_file(map_path(out), inputs, overwrite, "--out")
         check_file(out, inputs, overwrite, "--out", ",".join(RAW_COLUMNS).encode())
     else:
         check_pair(out, sidecar(out), inputs, overwrite)
@@ -336,7 +336,7 @@ def simulate_rig(
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     log = dataclasses.replace(log, source=log.source | origin)
     with folder(out.parent):
-        _write_log(log, out)
+        _write_log(log, out, mapped)
         if placed:
             _write_placed(body, plan.unit, placed)
     data: dict[str, Any] = {
@@ -350,14 +350,14 @@ def simulate_rig(
     beside = ""
     if faults is not None:
         data["map"] = str(map_path(out))
-        beside = f", with the map {data['map']}"
+        beside = f", with the map {data['map']}{', which was there and is kept' if mapped else ''}"
     for warning in log.warnings:
         output.progress.say(f"warning: {warning}")
     text = f"{data['rows']} rows of {data['sweeps']} sweeps, written to {data['log']}{beside}"
     return print_result(output, data, printable(text))
 
 
-def _write_log(log: RawLog, path: Path) -> None:
+def _write_log(log: RawLog, path: Path, mapped: bool) -> None:
     import numpy as np
 
     from scan3d.files.recordings import RAW_COLUMNS, recording_files, write_log
@@ -372,7 +372,7 @@ def _write_log(log: RawLog, path: Path) -> None:
     values = [log.time_s, *(1000 * log.position_m.T), *log.quaternion.T, *log.wrench.T[:3], *(1000 * log.wrench.T[3:])]
     columns = dict(zip(RAW_COLUMNS, [*map(np.asarray, values), log.sweep], strict=True))
     sensor = {**log.faults.nominal._asdict(), "shows": log.faults.shows}
-    write_log(columns, rod_section(log.rod), sensor, path, log.table_m)
+    write_log(columns, rod_section(log.rod), sensor, path, log.table_m, mapped)
 
 
 def _write_placed(body: Any, unit: str, path: Path) -> None:

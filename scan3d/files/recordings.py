@@ -351,10 +351,16 @@ def map_path(path: Path) -> Path:
 
 
 def write_log(
-    columns: dict[str, Array], rod: dict[str, Any], sensor: dict[str, Any], path: Path, table_m: float | None
+    columns: dict[str, Array],
+    rod: dict[str, Any],
+    sensor: dict[str, Any],
+    path: Path,
+    table_m: float | None,
+    mapped: bool = False,
 ) -> None:
-    """Write a log with faults, of the columns `RAW_COLUMNS`, and its map, which says what the experimenter knows: the nominal
-    rod, the sensor's nominal frame and the wrench that it shows, and the height of the table, unless that is None."""
+    """Write a log with faults, of the columns `RAW_COLUMNS`, and unless it is mapped already its map, which says what the
+    experimenter knows: the nominal rod, the sensor's nominal frame and the wrench that it shows, and the height of the table,
+    unless that is None."""
     text = io.StringIO(newline="\n")
     text.write(",".join(RAW_COLUMNS) + "\n")
     # a sensor shows fewer digits, and a clock and a robot need about as many
@@ -378,4 +384,5 @@ def write_log(
         "tare": {"air": "auto"},
         "rod": rod,
     }
-    write_together(path, {map_path(path).name: (note + to_toml(meta)).encode(), path.name: text.getvalue().encode()})
+    beside = {} if mapped else {map_path(path).name: (note + to_toml(meta)).encode()}
+    write_together(path, {**beside, path.name: text.getvalue().encode()})

@@ -379,7 +379,8 @@ def import_figure(imported: Imported) -> Any:
     clock = imported.clock - imported.clock[0]
     figure = figures.chart(2.0, Sheet(width=10.0))
     panels = figure.subplots(2, 2, sharex=True)
-    sweeps = [imported.sweep >= 0, imported.sweep % 2 == 1]  # neighbours in two shades
+    within = imported.sweep >= 0
+    sweeps = [within, within & (imported.sweep % 2 == 1)]  # neighbours in two shades
     sides = (
         ("the sensor; blue: in the air, dashed: zero", imported.log.wrench, imported.zero, [imported.air], parts.ROD),
         ("at the clamp; grey: sweeps", imported.wrench, None, sweeps, parts.UNKNOWN),
