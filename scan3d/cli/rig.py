@@ -342,7 +342,7 @@ def simulate_rig(
     data: dict[str, Any] = {
         "log": str(out),
         "rows": len(log),
-        "sweeps": len(poses.sweeps()),
+        "sweeps": len({*log.sweep[log.sweep >= 0].tolist()}),
         "seconds": float(log.time_s[-1]),
         "moved": log.source.get("moved"),
         "warnings": list(log.warnings),

@@ -178,7 +178,9 @@ def simulate_rig(
         rod=real,
         stop_force=stop_force,
     )
+    sweeps = len(poses.sweeps())
     poses, probed = _stopped(mesh, poses, settings, metres, faults)
+    slipped = sweeps - len(poses.sweeps())
     rows = _rows_of(poses, faults)
     tracks, members = _tracks(rows, friction, seed, metres)
     around = mesh if convex else hull(mesh.vertices.view(np.ndarray))
@@ -201,6 +203,10 @@ def simulate_rig(
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
     warnings = _warnings(around, poses, reactions, length, radius, metres)
+    if slipped:
+        warnings += (
+            f"{slipped} of {sweeps} sweeps are left out: the end of the rod slips off; a smaller --stop-force leaves fewer",
+        )
     if nominal != planned:
         words = "taper" if model == "planar" and planned.tapered else "body that is not convex"
         warnings += (f"the simulated rod has no thickness, because of the {words}; leave its diameter at 0 in the map",)
