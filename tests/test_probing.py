@@ -473,6 +473,11 @@ def test_a_stop_force_that_pushes_the_end_off_is_told():
     for force, told in ((0.3, True), (0.01, False)):
         rows = dict(scan3d.scan(body, slices=2, probing="only", stop_force=force).summary())
         assert ("unresolved" in rows) == told, rows
+    poses = plan_poses(RigPlan(parse_envelope("cylinder:28x8"), probing=True))
+    log, planned = rig.simulate_rig(rig.standing(body), poses, stop_force=0.3), len(poses.sweeps())
+    left = planned - len(np.unique(log.sweep))
+    assert left > 0
+    assert any(f"{left} of {planned} sweeps are left out" in warning for warning in log.warnings)
 
 
 def test_a_rod_whose_end_sticks_is_drawn_straight():
