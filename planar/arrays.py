@@ -25,6 +25,11 @@ def ratio(over: Array | float, under: Array) -> Array:
         return over / under
 
 
+def finite(*values: ArrayLike) -> bool:
+    """Whether all values, numbers or arrays, are finite numbers: what is no number, such as a text, is not finite."""
+    return all(given.dtype.kind in "biuf" and bool(np.isfinite(given).all()) for given in map(np.asarray, values))
+
+
 def ranges(count: NDArray[np.integer[Any]]) -> tuple[Index, Index]:
     """Of numbers from 0 that repeat so many times each (n,): which number it is, and how often it came before.
 

@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask, ranges, ratio
+from planar.arrays import ROUNDING, Array, Index, Mask, finite, ranges, ratio
 from planar.plots import Shown, plot_loops
 
 if TYPE_CHECKING:
@@ -531,7 +531,7 @@ class Ellipse(SmoothContour):
 
     def __post_init__(self) -> None:
         pairs = np.shape(self.semi_axes) == np.shape(self.center) == (2,) and np.ndim(self.angle) == 0
-        if not (pairs and np.isfinite([*self.semi_axes, *self.center, self.angle]).all() and min(self.semi_axes) > 0):
+        if not (pairs and finite(*self.semi_axes, *self.center, self.angle) and min(self.semi_axes) > 0):
             raise ValueError(
                 f"an ellipse needs two positive semi-axes, a center and an angle, all finite, got semi_axes={self.semi_axes}, "
                 f"center={self.center}, angle={self.angle}"
@@ -584,7 +584,7 @@ class Circle(SmoothContour):
 
     def __post_init__(self) -> None:
         numbers = np.ndim(self.radius) == 0 and np.shape(self.center) == (2,)
-        if not (numbers and np.isfinite([self.radius, *self.center]).all() and self.radius > 0):
+        if not (numbers and finite(self.radius, *self.center) and self.radius > 0):
             raise ValueError(f"a circle needs a positive radius and a finite center, got {self}")
 
     def loops(self) -> list[Loop]:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
-from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions
+from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions, finite
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rods import METHODS, Rod, Solved, as_rod, shapes, solve
@@ -235,8 +235,8 @@ def reconstruct(
         raise ValueError("method 'will' is for straight, uniform, weightless rods; use 'closed-form', which takes any")
     zeta = None
     if friction is not None:
-        mu = np.asarray(friction, dtype=float)
-        if mu.shape not in ((), reactions.x0.shape) or not (np.isfinite(mu).all() and (mu >= 0).all()):
+        mu = np.asarray(friction)
+        if mu.shape not in ((), reactions.x0.shape) or not (finite(mu) and (mu >= 0).all()):
             given = np.array2string(mu, threshold=6, precision=6)
             raise ValueError(f"friction must be one number >= 0 or one for each sample, got {given}")
         zeta = np.arctan(mu)

@@ -41,7 +41,7 @@ import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index, Mask, finite
 from planar.elastica import bend, bend_by_half_angle, integrals, partial_shape, tangential_q
 
 # Rows that are marched at once: their stages stay in the processor's cache.
@@ -161,11 +161,12 @@ class Rod:
             object.__setattr__(self, "stiffness", tuple(map(tuple, table.tolist())))
         if not (np.isfinite(diameters).all() and (diameters > 0).all()):
             raise ValueError(f"tip_diameter must be a positive number, got {self.tip_diameter}")
-        if not np.isfinite(self.curvature):
+        if np.ndim(self.curvature) or not finite(self.curvature):
             raise ValueError(f"curvature must be a number, got {self.curvature}")
         for name in ("weight", "compliance"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be a number of at least 0, got {getattr(self, name)}")
+            value = getattr(self, name)
+            if np.ndim(value) or not (finite(value) and value >= 0):
+                raise ValueError(f"{name} must be a number of at least 0, got {value}")
         down = np.zeros(2)
         if self.weight > 0:
             down = np.asarray(np.nan if self.gravity is None else self.gravity, dtype=float)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, segments
 from planar.any_body import SweepStatus, follow, last_contacts
-from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction, rows_of
+from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction, finite, rows_of
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
@@ -288,10 +288,10 @@ def _checked_spread(samples: int | None, shares: ArrayLike | None) -> Array:
 
 
 def _checked_friction(friction: ArrayLike) -> Array:
-    mu = np.asarray(friction, dtype=float)
-    if mu.ndim > 1 or not (np.isfinite(mu).all() and (mu >= 0).all()):
+    mu = np.asarray(friction)
+    if mu.ndim > 1 or not (finite(mu) and (mu >= 0).all()):
         raise ValueError(f"friction must be one number >= 0 or one for each base position, got {_shortened(mu)}")
-    return mu
+    return mu.astype(float)
 
 
 def _checked_base(base: ArrayLike) -> Array:
@@ -569,7 +569,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod:
     rod = as_rod(rod)
     if rod.curvature or rod.weight:
         raise ValueError("events are those of rods that are straight at rest and weightless, tapered or not")
-    if np.ndim(friction) or not (np.isfinite(friction) and friction >= 0):
+    if np.ndim(friction) or not (finite(friction) and friction >= 0):
         raise ValueError(f"friction must be one number >= 0, got {friction}")
     check_direction(direction)
     check_contour(contour)

@@ -244,11 +244,11 @@ def at_height(lowest):
 OF_PLANAR = [
     (planar.Rod, [
         ({"tip_diameter": 0}, "tip_diameter must be a positive number"),
-        ({"curvature": NAN}, "curvature must be a number"),
+        *(({"curvature": value}, "curvature must be a number") for value in (NAN, "0.1", (0.1,))),
         ({"weight": -1}, "weight must be a number of at least 0"),
         ({"weight": 1}, "a rod with weight needs the direction"),
         ({"weight": 1, "gravity": (0, 0)}, "a rod with weight needs the direction"),
-        ({"compliance": np.inf}, "compliance must be a number of at least 0"),
+        *(({"compliance": value}, "compliance must be a number of at least 0") for value in (np.inf, "1", [1])),
         ({"stiffness": [1, 2]}, "stiffness must have rows"),
         ({"stiffness": [[0, 1], [0.5, 1]]}, "must rise from 0 to 1"),
         ({"stiffness": [[0, 2], [1, 1]]}, "1 at the clamp"),
@@ -262,6 +262,7 @@ OF_PLANAR = [
         ({"base": [0.5, 0.4], "direction": 1}, "must follow the sweep: .* rise in .x"),
         ({"samples": 3, "direction": 0}, "direction must be -1 or 1.*got 0"),
         ({"samples": 3, "friction": NAN}, "friction .* got nan"),
+        ({"samples": 3, "friction": "0.2"}, "friction .* got '0.2'"),
         ({"samples": 3, "friction": [0.1, 0.2]}, "one for each of the 3 base positions, got 2"),
     ]),
     (partial(planar.reconstruct, X0[:1], F0X[:1], F0Y[:1], M0Z[:1]), [
@@ -269,7 +270,7 @@ OF_PLANAR = [
         ({"method": "will", "rod": CONE}, "'will' is for straight"),
         ({"tolerance": 1.0}, "tolerance must lie between 0 and 1, got 1.0"),
         ({"tolerance": NAN}, "tolerance must lie between 0 and 1, got nan"),
-        ({"friction": np.inf}, "friction must be one number >= 0 .*, got inf"),
+        *(({"friction": value}, f"friction must be one number >= 0 .*, got '?{value}") for value in (np.inf, "a")),
         ({"friction": [0.1, 0.2]}, "friction must be one number >= 0 or one for each"),
     ]),
     (partial(planar.complete, X0), [
@@ -295,7 +296,9 @@ OF_PLANAR = [
         ({"x": [0, 1, 1, 1], "y": [0, 0, 0, 1]}, "differ from their neighbours"),
         ({"x": [0, 1, 1, 0], "y": [0.5, 1.2, 0.5, 1]}, "must not cross"),
     ]),
-    (planar.Circle, [({"radius": radius, "center": (0, 1)}, "positive radius") for radius in (0.0, (0, 1))]),
+    (planar.Circle, [({"radius": radius, "center": (0, 1)}, "positive radius") for radius in (0.0, (0, 1), "0.9")]),
+    (planar.Ellipse, [({"semi_axes": (1, 1), "center": (0, 1), "angle": "x"}, "all finite, got .*angle=x")]),
+    (partial(planar.events, CIRCLE), [({"friction": value}, "friction must be one number >= 0") for value in ("x", None)]),
     *(each(at_height, "lowest", words, *heights) for words, heights in HEIGHTS.items()),
     (lambda call: call(), [
         ({"call": lambda: planar.Contours([])}, "at least one"),
