@@ -599,18 +599,13 @@ def _certified(data: Mapping[str, Any]) -> str:
             nothing = why if why.startswith("nothing") else f"nothing: {why}"
         elif counts.get("probings"):
             nothing += "; --reach states how fine its features are"
-        if counts.get("probings"):
-            return nothing
         if data.get("model") == "touches":
             exact = not data["noise"]["contact_median"]
             return nothing + ("; if the touches have errors, state them by --place-sd and --normal-sd" if exact else "")
-        contours = certified["contours"]["bound"]
-        within = (
-            f"outer contours within {length(contours, certified['unit'], up=True)}"
-            if is_finite(contours)
-            else "nothing"
-        )
-        return f"{within} in the planes of the slices; between them {nothing}"
+        if not is_finite(contours := certified["contours"]["bound"]):
+            return nothing
+        within = length(contours, certified["unit"], up=True)
+        return f"outer contours within {within} in the planes of the slices; between them {nothing}"
     if (data.get("rod") or {}).get("tapered"):
         return (
             "nothing, because the rod's radius changes along it, and no one radius grows the body to what its centre line "

@@ -462,6 +462,8 @@ def export(
     shape = f"{written['points']} contacts"
     if written["what"] == "surface":
         shape = f"a surface of {written['points']} vertices and {written['faces']} faces"
+        if reduced:
+            shape += f", within {length(written['off'], written['unit'], up=True)} of the whole one,"
     if written["left_out"]:
         shape += f" ({written['left_out']} without a normal are left out)"
     return print_result(output, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))

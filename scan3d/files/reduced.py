@@ -79,13 +79,13 @@ def decimated(shape: Shape, faces: int | None = None, error: float | None = None
             "as many or more"
         )
     rows = shape.rows[cKDTree(shape.points).query(mesh.vert_properties[:, :3])[1]]
-    if "bound" in (shape.rows.dtype.names or ()):
-        import trimesh
+    import trimesh
 
-        meshes = ((shape.points, shape.faces), (mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64)))
-        # between its vertices the surface is elsewhere than the whole one
-        rows["bound"] += compare(*(trimesh.Trimesh(*one, process=False) for one in meshes)).hausdorff
-    return replace(shape, rows=rows, faces=mesh.tri_verts.astype(np.int32))
+    meshes = ((shape.points, shape.faces), (mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64)))
+    off = compare(*(trimesh.Trimesh(*one, process=False) for one in meshes)).hausdorff
+    if "bound" in (shape.rows.dtype.names or ()):
+        rows["bound"] += off  # between its vertices the surface is elsewhere than the whole one
+    return replace(shape, rows=rows, faces=mesh.tri_verts.astype(np.int32), off=off)
 
 
 def cross_section(shape: Shape, plane: str) -> list[Array]:

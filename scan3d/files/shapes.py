@@ -217,6 +217,8 @@ class Shape(Exported):
     """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
     unit: str
     """Unit of all lengths."""
+    off: float = 0.0
+    """How far it is at most from the surface that it is a coarser form of, and that from it."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -466,7 +468,7 @@ def write_shape(
     faces = 0 if shape.faces is None else len(shape.faces)
     unit = "m" if ending == _METRES else shape.unit
     written = {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
-    return written | {"left_out": left_out}
+    return written | {"off": shape.off * UNITS_M[shape.unit] / UNITS_M[unit], "left_out": left_out}
 
 
 def float32_step(points: Array) -> float:

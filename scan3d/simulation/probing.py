@@ -196,7 +196,8 @@ def felt_along(
     aside = np.sqrt(((point - hanging)[[0, 2]] ** 2).sum(axis=0))
     slid = np.flatnonzero(resolved & touches)
     slid = slid[1.5 * aside[slid] * np.abs(distance[slid] - first[slid]) > _DEEP * length]
-    bent_to = shapes(bent, force[:, slid], moment[:, slid], None if down is None else down[:, slid], _PLACES)[0]
+    below = None if down is None else down[:, slid]
+    bent_to = shapes(bent, force[:, slid], moment[:, slid], below, _PLACES, at_end=True)[0]
     resolved[slid] = _passes(
         mesh, moves.start[slid], moves.axes[slid], length * bent_to, travel[slid], first[slid], length
     )

@@ -133,15 +133,20 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
     return marched(slice(None), steps)
 
 
-def shapes(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None, points: int) -> tuple[Array, Array]:
+def shapes(
+    rod: SpatialRod, force: Array, moment: Array, gravity: Array | None, points: int, *, at_end: bool = False
+) -> tuple[Array, Array]:
     """`planar.rods.drawn` in the clamp's frame, by support reactions and gravity as of `contacts`; NaN without a contact.
 
-    A rod without contact force has the shape at rest, and one without a moment is that of a probing whose end sticks.
+    A rod without contact force has the shape at rest, and one without a moment is that of a probing whose end sticks.  All of
+    them are known to be touched `at_end`, or the place of the contact follows from the reactions.
     """
     start, contact_force = _clamped(rod, force, moment, gravity)
-    s1 = np.minimum(contacts(rod, force, moment, gravity).s1, 1.0)
-    largest = np.sqrt(np.minimum((contact_force**2).sum(axis=0), (moment**2).sum(axis=0)))
-    s1[np.isnan(s1) & ~(largest > PLACES)] = 1.0
+    s1 = np.ones(start.shape[1])
+    if not at_end:
+        s1 = np.minimum(contacts(rod, force, moment, gravity).s1, 1.0)
+        largest = np.sqrt(np.minimum((contact_force**2).sum(axis=0), (moment**2).sum(axis=0)))
+        s1[np.isnan(s1) & ~(largest > PLACES)] = 1.0
     goes_straight = not (rod.profile.weight or any(rod.curvature))
     return drawn(rod.profile, partial(_step, rod), start, s1, points, _R, _N, goes_straight)
 
