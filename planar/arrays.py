@@ -79,6 +79,20 @@ def check_direction(direction: int) -> None:
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
 
 
+def checked_friction(friction: ArrayLike, count: int | None = None) -> Array:
+    """A coefficient of friction, or one for each of so many samples, of any number if that is None.  Raises ValueError."""
+    mu = np.asarray(friction)
+    right = mu.ndim < 2 and (not mu.ndim or count in (None, len(mu)))
+    if not (right and finite(mu) and (mu >= 0).all()):
+        raise ValueError(f"friction must be one number >= 0 or one for each sample, got {shortened(mu)}")
+    return mu.astype(float)
+
+
+def shortened(values: Array) -> str:
+    """Values in an error's words."""
+    return np.array2string(values, threshold=6, precision=6)
+
+
 def _real(column: ArrayLike) -> Array:
     if np.ma.isMaskedArray(column):
         raise ValueError("x0, f0x, f0y and m0z must be plain arrays, got a masked one; leave the masked rows out")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
-from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_reactions, finite
+from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_friction, checked_reactions
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rods import METHODS, Rod, Solved, as_rod, shapes, solve
@@ -233,13 +233,7 @@ def reconstruct(
         raise ValueError(f"gravity must have one direction, or one for each row, got {len(rod.down)}")
     if method == "will" and not rod.is_straight_and_uniform:
         raise ValueError("method 'will' is for straight, uniform, weightless rods; use 'closed-form', which takes any")
-    zeta = None
-    if friction is not None:
-        mu = np.asarray(friction)
-        if mu.shape not in ((), reactions.x0.shape) or not (finite(mu) and (mu >= 0).all()):
-            given = np.array2string(mu, threshold=6, precision=6)
-            raise ValueError(f"friction must be one number >= 0 or one for each sample, got {given}")
-        zeta = np.arctan(mu)
+    zeta = None if friction is None else np.arctan(checked_friction(friction, len(reactions.x0)))
 
     parts = []
     for first in range(0, max(len(reactions.x0), 1), BLOCK):

@@ -20,7 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, segments
 from planar.any_body import SweepStatus, follow, last_contacts
-from planar.arrays import BLOCK, Array, Index, Mask, Reactions, check_direction, finite, rows_of
+from planar.arrays import (
+    BLOCK,
+    Array,
+    Index,
+    Mask,
+    Reactions,
+    check_direction,
+    checked_friction,
+    finite,
+    rows_of,
+    shortened,
+)
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
@@ -209,7 +220,7 @@ def _mirrored(swept: Sweep) -> Sweep:
 
 def sweep_all(
     contours: Sequence[Contour],
-    friction: Sequence[ArrayLike],
+    friction: Sequence[ArrayLike] | float,
     *,
     base: Sequence[ArrayLike] | None = None,
     samples: int | None = None,
@@ -217,7 +228,8 @@ def sweep_all(
     rod: Rod | None = None,
     single: bool = False,
 ) -> list[Sweep]:
-    """Many sweeps at once: `sweep` for every contour with its friction and, unless `samples` is given, its base.
+    """Many sweeps at once: `sweep` for every contour with its friction, or one number for all, and, unless `samples` is given,
+    its base.
 
     `shares` (n,), fractions rising from 0 to 1, are used instead of `samples` for base positions that are not evenly spaced
     over the travel from touch-down to the end of the sweep.  With `single` each sweep ends where the rod comes to touch at
@@ -226,14 +238,15 @@ def sweep_all(
     if (base is None) + (samples is None) + (shares is None) != 2:
         raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
     spread = _checked_spread(samples, shares)
-    if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
+    each = [friction] * len(contours) if isinstance(friction, float | int) else friction
+    if len(each) != len(contours) or (base is not None and len(base) != len(contours)):
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     for contour in contours:
         check_contour(contour)
     rod = as_rod(rod)
     if rod.down.shape not in ((2,), (len(contours), 2)):
         raise ValueError(f"gravity must have one direction, or one for each sweep, got {len(rod.down)}")
-    frictions = [_checked_friction(mu) for mu in friction]
+    frictions = [checked_friction(mu) for mu in each]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 
     sweeps: dict[int, Sweep] = {}
@@ -287,24 +300,13 @@ def _checked_spread(samples: int | None, shares: ArrayLike | None) -> Array:
     return spread
 
 
-def _checked_friction(friction: ArrayLike) -> Array:
-    mu = np.asarray(friction)
-    if mu.ndim > 1 or not (finite(mu) and (mu >= 0).all()):
-        raise ValueError(f"friction must be one number >= 0 or one for each base position, got {_shortened(mu)}")
-    return mu.astype(float)
-
-
 def _checked_base(base: ArrayLike) -> Array:
     x0 = np.asarray(base, dtype=float)
     if x0.ndim != 1 or not np.isfinite(x0).all():
-        raise ValueError(f"base positions must be finite numbers of shape (n,), got {_shortened(x0)}")
+        raise ValueError(f"base positions must be finite numbers of shape (n,), got {shortened(x0)}")
     if (np.diff(x0) > 0).any():
         raise ValueError("base positions must follow the sweep: fall from sample to sample in -x, rise in +x")
     return x0
-
-
-def _shortened(values: Array) -> str:
-    return np.array2string(values, threshold=6, precision=6)
 
 
 def _sweep_path(

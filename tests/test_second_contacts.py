@@ -188,7 +188,7 @@ def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
     turns = [np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in (0.3, 1.2, 2.4)]
     shifts = [np.array([0, 0.5 - (outline @ turn.T)[:, 1].min()]) for turn in turns]
     contours = [planar.Polygon(outline @ turn.T + shift) for turn, shift in zip(turns, shifts, strict=True)]
-    swept = planar.sweep_all(contours, [0.3] * 3, samples=60)
+    swept = planar.sweep_all(contours, 0.3, samples=60)
     columns = [one.reactions for one in swept]
     contacts = [planar.reconstruct(*reactions) for reactions in columns]
     friction = np.tan(constant_friction_angle(contacts[0]))
