@@ -602,7 +602,8 @@ def _certified(data: Mapping[str, Any]) -> str:
         if data.get("model") == "touches":
             exact = not data["noise"]["contact_median"]
             return nothing + ("; if the touches have errors, state them by --place-sd and --normal-sd" if exact else "")
-        if not is_finite(contours := certified["contours"]["bound"]):
+        # of probed bodies only few slices are swept, whose contours say little
+        if counts.get("probings") or not is_finite(contours := certified["contours"]["bound"]):
             return nothing
         within = length(contours, certified["unit"], up=True)
         return f"outer contours within {within} in the planes of the slices; between them {nothing}"
