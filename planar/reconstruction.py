@@ -24,7 +24,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots
-from planar.arrays import BLOCK, NAMES, Array, Mask, Reactions, check_direction, checked_friction, checked_reactions
+from planar.arrays import (
+    BLOCK,
+    NAMES,
+    Array,
+    Mask,
+    Reactions,
+    check_direction,
+    checked_friction,
+    checked_reactions,
+    finite,
+)
 from planar.elastica import bend, bend_with_slopes, piece
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rods import METHODS, Rod, Solved, as_rod, shapes, solve
@@ -438,7 +448,15 @@ def errors(
         (n, 5, 3) the `jacobian`, if it is known already.
     direction, rod
         as in `jacobian`.
+
+    Raises ValueError for deviations that are no two numbers of at least 0, and for covariances of another shape.
     """
+    if np.shape(noise) != (2,) or not (finite(noise, known_sd) and min(*noise, known_sd) >= 0):
+        raise ValueError(
+            f"noise must be two numbers >= 0, of force and of moment, and known_sd one, got {noise!r} and {known_sd!r}"
+        )
+    if covariance is not None and np.shape(covariance) != (np.size(f0x), 3, 3):
+        raise ValueError(f"covariance must have the shape (n, 3, 3) of n reactions, got {np.shape(covariance)}")
     if covariance is None and not max(*noise, known_sd):
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
@@ -540,8 +558,8 @@ def elastic_lines(
     straight uniform one.  Raises ValueError for arrays of different lengths or fewer than 2 points.
     """
     reactions = checked_reactions(x0, f0x, f0y, m0z)
-    if points < 2:
-        raise ValueError(f"an elastic line needs at least 2 points, got {points}")
+    if not (isinstance(points, int | np.integer) and points >= 2):
+        raise ValueError(f"an elastic line needs a whole number of at least 2 points, got {points!r}")
     parts = [slice(first, first + BLOCK) for first in range(0, max(len(reactions[0]), 1), BLOCK)]
     if rod is None or rod.is_straight_and_uniform:
         drawn = (_drawn(points, *(column[part, None] for column in reactions)) for part in parts)

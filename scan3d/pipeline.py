@@ -251,6 +251,7 @@ def _bounded(
     clock: Clock,
 ) -> Analysis:
     """Bounds, surface and certificate of contacts; `recording` is what they were reconstructed from, if anything."""
+    nothing = bool(warnings) or (recording is not None and bool(recording.untested))
     with clock("bounds"):
         bounds = enclosure(cloud) if cloud.convex else unbounded(cloud)
     found = reached = None
@@ -260,18 +261,18 @@ def _bounded(
             mesh = found.surface if method == "auto" else surface(cloud, method)
         else:
             # a hull is only taken as proven where the recording agrees with the model
-            known = replace(bounds, bound=np.inf) if warnings else bounds
+            known = replace(bounds, bound=np.inf) if nothing else bounds
             mesh = surface(cloud, method, bounds=known)
         mesh.units = cloud.unit
     if found is not None and cloud.probed is not None:
         cloud = with_surface_normals(cloud, found.surface)
     with clock("certificate"):
-        if warnings or found is not None:
+        if nothing or found is not None:
             bounds = bounding_nothing(bounds)
             certified = certificate(bounds, mesh)
             if recording and found is not None and (reach or cloud.bead_radius):
                 reached = within_reach(*as_measured(recording, cloud), reach, mesh)
-                certified = certified._replace(bound=np.inf if warnings else reached.bound)
+                certified = certified._replace(bound=np.inf if nothing else reached.bound)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     if cloud.convex:

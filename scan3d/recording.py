@@ -239,6 +239,16 @@ class Recording(Shown):
             and not (self.completed is not None and (self.completed.friction_sd or self.completed.channel in FOLLOWED)),
         )
 
+    @property
+    def untested(self) -> str:
+        """Why nothing is certified of it although nothing contradicts the model; "" if there is no such reason."""
+        if self.completed is None or self.completed.channel not in FOLLOWED:
+            return ""
+        return (
+            "the forces follow from the moments on a surface that turns evenly from row to row, without corners, which nothing "
+            "tests; measure the force for a certificate"
+        )
+
     def reactions(self, six_axis: bool) -> tuple[Array, Array]:
         """(n, 3) support reaction and (n, 3) clamping moment, in EI/L² and EI/L; zero in channels that are not asked for.
 

@@ -124,7 +124,9 @@ def report(analysis: Analysis, *, settings: Mapping[str, Any]) -> dict[str, Any]
         "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
-        "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate) if analysis.has_surface else [],
+        "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate, _untested(analysis))
+        if analysis.has_surface
+        else [],
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": _noise(recording) | {"independent": cloud.independent, "contact_median": cloud.noise},
@@ -252,6 +254,11 @@ def _contact_error(errors: Array | None, cloud: Cloud) -> dict[str, Any] | None:
     return {"max": largest, "rms": rms, "unit": cloud.unit, "max_rod_lengths": largest / cloud.rod_length}
 
 
+def _untested(analysis: Analysis) -> str:
+    """Why nothing is certified where nothing contradicts the model."""
+    return "" if analysis.recording is None or analysis.warnings else analysis.recording.untested
+
+
 def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud, recording = analysis.certificate.bound, analysis.bounds, analysis.cloud, analysis.recording
@@ -260,11 +267,11 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "the body grown by the rod's radius, which counts as 0: if it is not, state diameter_m under [rod], in the map of an "
         "import or in the TOML file of the recording"
     )
-    reached, why = analysis.reach, analysis.surface.metadata["reason"]
+    reached, why, untested = analysis.reach, analysis.surface.metadata["reason"], _untested(analysis)
     if analysis.has_surface:
-        why = "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud)
+        why = "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else untested or missing(cloud)
     left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
-    contours = np.inf if contours is not None and analysis.warnings else contours
+    contours = np.inf if contours is not None and (analysis.warnings or untested) else contours
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if reached is not None:
@@ -335,7 +342,9 @@ def _distances(comparison: Comparison) -> dict[str, float]:
 _DISTANCE = "distance of the surface from the body"
 
 
-def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> list[dict[str, Any]]:
+def measurands(
+    cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate, untested: str = ""
+) -> list[dict[str, Any]]:
     """The quantities that are measured of a body by its contacts, enclosure, surface and certificate, each with these entries.
 
     quantity, of, unit
@@ -358,6 +367,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
         not, the number of standard deviations of the calibration.
 
     All intervals hold together, under the premises of the certificate.
+    `untested` is why nothing is certified of a recording that nothing contradicts.
     """
     unit, probability = cloud.unit, _confidence(cloud, bounds, certified.bound)
     vertices = np.asarray(surface.vertices)
@@ -367,7 +377,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     if not cloud.convex:
         reason = "the body is not convex"
     elif not bounds.confidence:
-        reason = "the rod's radius changes" if cloud.tapered else _contradicted(cloud.model)
+        reason = "the rod's radius changes" if cloud.tapered else untested or _contradicted(cloud.model)
     else:
         reason = "nothing bounds the body on some side"
 

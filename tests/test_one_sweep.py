@@ -155,6 +155,24 @@ def test_noise_is_that_of_the_sidecar_or_the_options(tmp_path, left, capsys):
     assert written["sd_friction"][tangential] == pytest.approx(1e6 * step[tangential], rel=1e-3)
 
 
+def test_a_row_of_noise_is_no_contact_whatever_the_sign_of_its_moment(left):
+    touches = np.vstack([[left.x0[0] + 0.1, 1e-4, 1e-4, -1e-4], columns(left)])
+    found = reconstruct_sweep(OneSweep(*touches.T, noise_force=1e-4, noise_moment=1e-4))
+    assert found.contacts.status[0] == planar.Status.NO_FORCE
+
+
+def test_contacts_of_another_table_are_not_replaced(tmp_path, left, call):
+    tables = [write(tmp_path / f"{name}.csv", columns(left)[::step]) for name, step in (("one", 1), ("other", 2))]
+    assert call("reconstruct", tables[0])[0] == 0
+    assert call("reconstruct", tables[0])[0] == 0
+    before = (tmp_path / "contacts.csv").read_bytes()
+    code, _, error = call("reconstruct", tables[1])
+    assert code == 1
+    assert "contacts.csv holds other contacts than those of this table" in error
+    assert (tmp_path / "contacts.csv").read_bytes() == before
+    assert call("reconstruct", tables[1], "--overwrite")[0] == 0
+
+
 @pytest.mark.parametrize("column", range(4))
 def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, column):
     table = np.round(columns(left), 4)

@@ -304,6 +304,10 @@ OF_PLANAR = [
         ({"call": lambda: planar.Contours([])}, "at least one"),
         ({"call": lambda: planar.Contours([planar.Circle(0.3, (x, 0.8)) for x in (0, 0.1)])}, "must not overlap"),
         ({"call": lambda: planar.errors(F0X, F0Y, M0Z, noise=(1e-3, 1e-3), missing="fz")}, "missing must be one of"),
+        *(({"call": lambda noise=noise: planar.errors(F0X, F0Y, M0Z, noise=noise)}, "noise must be two numbers >= 0")
+          for noise in ((-1e-3, 1e-3), (NAN, 1), 1e-3, (1, 1, 1), ("a", 1))),
+        ({"call": lambda: planar.errors(F0X, F0Y, M0Z, noise=(1, 1), covariance=np.eye(3))}, r"covariance .* \(n, 3, 3\)"),
+        ({"call": lambda: planar.elastic_lines(X0, F0X, F0Y, M0Z, points=10.5)}, "whole number of at least 2 points, got 10.5"),
         ({"call": lambda: planar.free_reactions(planar.Rod(weight=20.0, gravity=(0, -1)))}, "more than one shape under its"),
         ({"call": lambda: planar.touched_at(3.0, rod=planar.Rod(curvature=0.1))}, "straight rod without weight"),
         ({"call": lambda: planar.complete_by_moment([0.0], [0.1], 1.2)}, "start must be an arc length"),

@@ -225,9 +225,8 @@ def _of_noise(recording: Recording, cloud: Cloud) -> Premise:
         return Premise(
             assumed, True, f"no value of {air.rows} rows in the air is larger than the stated noise explains"
         )
-    return Premise(
-        assumed, True, f"of {air.rows} rows in the air some have larger values than the stated noise explains"
-    )
+    reached = f"a value of {air.rows} rows in the air is one that noise of the stated size reaches"
+    return Premise(assumed, True, f"{reached} in {share(air.chance, up=True)} of such recordings at most")
 
 
 def _of_rod(rod: Rod, cloud: Cloud, contradicted: Collection[str]) -> Premise:

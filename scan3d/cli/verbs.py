@@ -607,12 +607,20 @@ def _reconstruct_sweep(
     with folder(picture.parent):
         text = contacts_csv(found)
         check_file(picture, inputs, overwrite, "--out")
-        check_file(contacts, inputs, overwrite, "--out", text)
+        check_file(contacts, inputs, True, "--out")
+        if contacts.exists() and not overwrite and _first_column(contacts.read_bytes()) != _first_column(text):
+            raise InputError(
+                f"{contacts} holds other contacts than those of this table; name another folder by --out, or give --overwrite"
+            )
         with atomic(picture) as path:
             views.draw(views.sweep_figure, found, path)
         write_atomic(contacts, text)
     data = _figures_of_sweep(found) | {"files": [str(contacts), str(picture)]}
     return print_result(output, data, table("", _rows_of_sweep(data)))
+
+
+def _first_column(table: bytes) -> list[bytes]:
+    return [line.partition(b",")[0] for line in table.splitlines()]
 
 
 def _figures_of_sweep(found: Any) -> dict[str, Any]:

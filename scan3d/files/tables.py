@@ -156,7 +156,9 @@ class Table:
             row = int(np.argmax(bad))
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
             instead = ""
-            if gaps:
+            if self.layout and np.isnan(values).all():
+                instead = ', or write "" for this column in the map if it was not measured'
+            elif gaps:
                 instead = ", or leave such cells empty"
             elif self.layout and self.layout.missing != "drop":
                 instead = ', or write missing = "drop" under [table] in the map to leave such rows out'

@@ -292,7 +292,8 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
     undetermined = felt & given & ~complete
     left, words = _unmeasured(sweep, felt)
-    hidden = (found.status == planar.Status.OK) & (~felt | left)
+    # of a force that does not stand out no moment has a wrong sign
+    hidden = ~felt | (left & (found.status == planar.Status.OK))
     found = found.refused(hidden, planar.Status.NO_FORCE)
     touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
     if not touching.any():

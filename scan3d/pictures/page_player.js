@@ -184,7 +184,8 @@ function buildRod() {  // what is drawn of the shown sample, and the text and cu
 
 function describe(k, sweep, rod) {
   const contact = player.contactOf[k], {columns} = contacts, kind = kindOf(contact);
-  const slice = columns.slice && contact >= 0 ? `, slice ${columns.slice[contact]}` : "";
+  const in_slice = columns.slice && contact >= 0 ? columns.slice[contact] : null;
+  const slice = in_slice === null ? "" : in_slice < 0 ? ", a probing" : `, slice ${in_slice}`;
   const what = contact < 0 ? "no contact" : kind ? kind + " contact" : "contact";
   const value = ([name, unit], i) => `${name} = ${number(player.reactions[player.width * k + i])} ${unit}`;
   const values = player.names.map(value).map(text => text.replaceAll(" ", "\u00a0")).join(", ");

@@ -77,7 +77,7 @@ from scan3d.reconstruction.errors import (
 from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.measured import as_measured, as_recorded, measured, unmeasured
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.recording import FOLLOWED, FORCE_SIGMAS, LARGEST_OVER_SD, Recording, of_rows, rounding_sd
+from scan3d.recording import FORCE_SIGMAS, LARGEST_OVER_SD, Recording, of_rows, rounding_sd
 from scan3d.rigs import with_relative
 from scan3d.units import UNITS_M, angle, length, number, point, share
 
@@ -108,7 +108,6 @@ _CAUSES = {
     "out-of-plane": ("planar-model", "", "the model is wrong: choose the spatial model"),
     BELOW_TABLE: ("table", "", "the table is wrong: {}"),
     "held-poses": ("held-poses", "rows", "the poses are held: {}"),
-    "followed": ("unknown", "", "a channel that is missing: {}"),
 }
 
 
@@ -133,7 +132,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
         cloud = with_rows(cloud, kept)
-    alone, diagnosis = _held(missing) + below_table(cloud) + _followed(recording), None
+    alone, diagnosis = _held(missing) + below_table(cloud), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
@@ -144,7 +143,8 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         found += shape_contradictions(recording, touched) if cloud.convex else []
         if out_of_plane := _out_of_plane(recording, touched):
             # the wrong model is the cause only if the other one is right
-            alone += out_of_plane if _agrees_in_space(recording) else []
+            if _agrees_in_space(recording):
+                alone += [one._replace(message=f"{one.message}; choose the spatial model") for one in out_of_plane]
             found += [] if alone else out_of_plane
     found += _off_zero(recording)
     if alone:
@@ -200,17 +200,6 @@ def _without_contact(fraction: float) -> list[Contradiction]:
         f"(at most {share(DISTURBED)} are expected)"
     )
     return [Contradiction("force-without-contact", text, fraction)]
-
-
-def _followed(recording: Recording) -> list[Contradiction]:
-    """That nothing tests forces that follow from moments."""
-    if recording.completed is None or recording.completed.channel not in FOLLOWED:
-        return []
-    text = (
-        "the forces follow from the moments on a surface that turns evenly from row to row, without corners, which nothing "
-        "tests: measure the force for a certificate"
-    )
-    return [Contradiction("followed", text, np.nan)]
 
 
 def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
@@ -460,8 +449,7 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     size = f"contacts are off by up to {length(error, cloud.unit)}" if len(here) else "all of its contacts are lost"
     text = (
         f"a recording with six axes is read by the planar model, though {share(fraction)} of the force lies out of the "
-        f"slices' planes: {size} compared with the spatial model, and {share(lost)} of them are missing; choose the "
-        "spatial model"
+        f"slices' planes: {size} compared with the spatial model, and {share(lost)} of them are missing"
     )
     return [Contradiction("out-of-plane", text, fraction)]
 
