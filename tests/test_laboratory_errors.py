@@ -63,6 +63,12 @@ def with_cell(line, column, text):
     return rows
 
 
+def empty(column):
+    place = NAMES.index(column)
+    cells = (line.split(",") for line in lines()[1:])
+    return [lines()[0], *(",".join([*row[:place], "", *row[place + 1 :]]) for row in cells)]
+
+
 def semicolons():
     return [lines()[0].replace(",", ";"), *(line.replace(",", ";").replace(".", ",") for line in lines()[1:])]
 
@@ -87,6 +93,7 @@ def scaled(names, factor):
     [
         (with_cell(7, "Fx", "o.5"), r"log\.csv: line 7 has 'o\.5' in column 'Fx', which is no number; correct the cell"),
         (with_cell(7, "Fx", ""), r"line 7 has no value in column 'Fx'.*1 of 70 rows; .*missing = \"drop\" under \[table\]"),
+        (empty("Fx"), r"no value in column 'Fx'.*70 of 70 rows; complete the table, or write \"\" for this column in the map"),
         (lines()[:1], r"log\.csv has no row of data below line 1; expected one row per sample"),
         ([*lines(), "0.7,1,2"], r"log\.csv: line 72 has 3 values, expected 14; it ends in column 3: is it cut off\?"),
         ([lines()[0], UNITS, *lines()[1:]], r"line 2 has 's' in column 1 \(t\), .*a second header line; .*units_row = true"),
@@ -101,7 +108,7 @@ def scaled(names, factor):
         (scaled(["x"], 0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
         (scaled(["Tz"], 1e3), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
     ],
-    ids=range(15),
+    ids=range(16),
 )  # fmt: skip
 def test_tables(tmp_path, rows, words):
     with pytest.raises(InputError, match=words) as error:

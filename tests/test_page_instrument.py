@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from browser import HEIGHT, SECONDS, WIDTH, Tab
-from small_scans import any_rod, any_rod_in_space, scanned_in_space
+from small_scans import any_rod, any_rod_in_space, ring, scanned_in_space
 
 from scan3d.geometry.distance import distances
 from scan3d.pictures.page import page
@@ -267,6 +267,18 @@ def test_the_rod_in_the_page_is_the_elastic_line(shows, scanned, cube):
         scale = np.linalg.norm(shown) / np.linalg.norm(world)
         assert np.log10(scale) / 3 == pytest.approx(round(np.log10(scale) / 3), abs=1e-6)  # N, mN or µN
         assert np.abs(shown - scale * world).max() < 1e-5 * np.abs(shown).max()
+    assert tab.complaints() == []
+
+
+def test_a_probing_is_called_one_and_a_slice_has_its_number(shows):
+    scene = ring()
+    tab, slices = shows(scene), scene.column("slice")
+    swept, probed = np.flatnonzero(slices >= 0)[0], np.flatnonzero(slices < 0)[0]
+    for row, words in ((swept, f"slice {int(slices[swept])}"), (probed, "a probing")):
+        tab.run(
+            f"(k => {{ goTo(sweepOf(k), k - player.starts[sweepOf(k)]); buildRod(); }})(player.contactOf.indexOf({row}))"
+        )
+        assert f"), {words}, sample" in tab.run("now.textContent")
     assert tab.complaints() == []
 
 
