@@ -163,7 +163,10 @@ class Live:
             stated, known = self._like, self._calibration
             noise = self._noise or (stated.noise_force_N, stated.noise_moment_Nm)
             if known is not None and self._noise is None:
-                noise = known.noise_force_N, known.moment_noise(known.noise_force_N, known.noise_moment_Nm)
+                noise = (
+                    known.noise_force_N,
+                    known.moment_noise(known.noise_force_N, known.noise_moment_Nm, imported=False),
+                )
             self._take(noise)
 
     def push(
@@ -204,7 +207,7 @@ class Live:
             tared = self._filtered(tared)
         force, moment, place, turn = tared[:, :3], tared[:, 3:], place[None], turn[None]
         if self._calibration is not None:
-            force, moment, place, turn = self._calibration.corrected(tared, place, turn)
+            force, moment, place, turn = self._calibration.corrected(tared, place, turn, imported=False)
         row = of_checked(
             self._like,
             position_m=place,
@@ -297,7 +300,7 @@ class Live:
         deviation = np.maximum(deviation, ROUNDING * np.abs(self._zero))  # of rows that are all the same
         force, moment = float(deviation[:3].max()), float(deviation[3:].max())
         if self._calibration is not None:
-            moment = self._calibration.moment_noise(force, moment)
+            moment = self._calibration.moment_noise(force, moment, imported=False)
         self._take(self._noise or (force, moment))
 
     def _take(self, noise: tuple[float, float]) -> None:

@@ -150,6 +150,8 @@ def wrench_matrix(turn: Array, place: Array) -> Array:
     return np.block([[turn, np.zeros((3, 3))], [cross @ turn, turn]])
 
 
+SHOWS = ("clamp-on-rod", "rod-on-clamp")
+"""Which wrench a sensor shows; the first is that of a recording."""
 GAINS = tuple(f"gain_{channel}" for channel in ("fx", "fy", "fz", "mx", "my", "mz"))
 """What is added to the channels of a sensor, as multiples of what they show less the zero."""
 DEFAULT_ACCURACY = 0.005

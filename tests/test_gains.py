@@ -123,7 +123,7 @@ def test_the_gains_are_those_of_the_channels_whatever_frame_a_map_states(tmp_pat
     deviations = np.sqrt(np.diag(found.gains_covariance))
     assert np.abs(other.gains - found.gains).max() < 0.3 * deviations.max()
     np.testing.assert_allclose(np.sqrt(np.diag(other.gains_covariance)), deviations, rtol=0.1)
-    np.testing.assert_allclose(other.own_sensor().turn, found.own_sensor().turn, atol=5e-3)
+    np.testing.assert_allclose(other.frames(imported=False)[0].turn, found.frames(imported=False)[0].turn, atol=5e-3)
     one, two = (rig.applied(log) for rig, log in ((found, recording), (other, turned)))
     size = np.abs(one.moment_Nm).max()
     assert np.abs(one.moment_Nm - two.moment_Nm).max() < 3e-3 * size

@@ -61,7 +61,7 @@ from scan3d.calibration.references import CHANCE, Plane, Reference, Sphere, Unlo
 from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.recording import CHANNELS, Recording
-from scan3d.rigs import Frame, wrench_matrix
+from scan3d.rigs import Frame
 from scan3d.units import length, share
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
@@ -89,7 +89,7 @@ class Sensor(NamedTuple):
     accuracy: Array
     """(6,) standard deviations of the gains of its channels."""
     frame: Frame
-    """Of its own channels, in that of the recorded ones."""
+    """That of its channels in the clamp's, as it is stated."""
 
 
 class Noise(NamedTuple):
@@ -697,7 +697,7 @@ def measured(
     touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
     free = np.ones(TARE + air.tare.size, dtype=bool)
     free[SHAPE:TARE] = False
-    accuracy, own = sensor or Sensor(np.zeros(6), Frame(np.zeros(3), np.eye(3)))
+    accuracy, stated = sensor or Sensor(np.zeros(6), Frame(np.zeros(3), np.eye(3)))
     free[GAINS:MIXING] = channels & (accuracy > 0)
     reference = replace(reference, origin=position.mean(axis=0))
     if not six:
@@ -711,13 +711,12 @@ def measured(
         stiffness=0.0,
         clamp=np.zeros(3),
         tilt=np.zeros(2),
-        turn=np.eye(3),
-        sensor=np.zeros(3),
+        turn=stated.turn,
+        sensor=stated.position_m / rod.length_m,
         reference=reference,
         length=1.0,
         tare=air.tare,
         gains=np.zeros(6),
-        own=wrench_matrix(own.turn, own.position_m / rod.length_m),
         mixing=np.zeros((6, 6)),
         stated=light.in_space(),
         shape=np.zeros(3),

@@ -71,8 +71,6 @@ class Rig:
     """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
     gains: Array
     """(6,) what is added to the tared channels of the sensor, as multiples of them."""
-    own: Array
-    """(6, 6) what takes wrenches by the sensor's own channels to those that were recorded, in the frame of a map."""
     mixing: Array
     """(6, 6) what is added to the tared channels, as multiples of them, against further gains and cross-talk of the sensor."""
     stated: SpatialRod
@@ -108,7 +106,7 @@ class Rig:
     @property
     def added(self) -> Array:
         """(6, 6) what is added to the tared channels, as multiples of them."""
-        return np.asarray(self.mixing + self.own * self.gains @ np.linalg.inv(self.own))
+        return np.asarray(self.mixing + np.diag(self.gains))
 
     def clamp_axes(self) -> tuple[Array, Array, Array]:
         """(3, 3) from the clamp's frame to the pose's, and its derivatives by the two angles of the tilt."""
@@ -294,7 +292,7 @@ def equations(rig: Rig, touches: Touches) -> Equations:
     by_channel = by_wrench @ wrench_matrix(rig.turn, rig.sensor)
     by_row[:, :, :6] = by_channel + by_channel @ rig.added
     tared = touches.wrench - touches.basis @ rig.tare.T
-    by_rig[:, :, GAINS:MIXING] = (by_channel @ rig.own) * (tared @ np.linalg.inv(rig.own).T)[:, None]
+    by_rig[:, :, GAINS:MIXING] = by_channel * tared[:, None]
     by_rig[:, :, MIXING:TARE] = (by_channel[..., None] * tared[:, None, None]).reshape(n, 4, -1)
     by_rig[:, :, TARE:] = -(by_row[:, :, :6, None] * touches.basis[:, None, None]).reshape(n, 4, -1)
     for row, applies in ((2, sure), (3, tip | (kind == Kind.TANGENTIAL))):

@@ -34,10 +34,12 @@ from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import (
     DEFAULT_ACCURACY,
     RIG_QUANTITIES,
+    SHOWS,
     Frame,
     RigUncertainty,
     accuracy_of,
     euler_of,
+    to_inner,
     turn_of,
     wrench_matrix,
 )
@@ -137,20 +139,17 @@ class Calibration(Described):
         """(k,) expanded uncertainties, with the coverage factor 2."""
         return COVERAGE_FACTOR * self.standard_deviations
 
-    def frames(self) -> tuple[Frame, Frame]:
-        """The sensor's frame in the clamp's, and the clamp's in that of the recorded poses."""
-        return (
-            Frame.of(self.sensor_position_m, self.sensor_euler_deg),
-            Frame.of(self.clamp_position_m, self.clamp_euler_deg),
-        )
+    def frames(self, *, imported: bool = True) -> tuple[Frame, Frame]:
+        """The sensor's frame in the clamp's, and the clamp's in that of the recorded poses.
 
-    def before(self, title: Literal["sensor", "clamp"]) -> Frame:
-        """The frame that the map of the touches had: the sensor's in the clamp's, or the clamp's in that of the poses."""
-        return read_frame(Section("the rig", self.map_frames.get(title, {}), f"map.{title}"))
-
-    def own_sensor(self) -> Frame:
-        """The frame of the sensor's own channels in the clamp's."""
-        return self.before("sensor").within(self.frames()[0])
+        They are what is left of rows that the map of the touches has `imported`, or those of the sensor's own channels and of
+        the poses as they are logged.
+        """
+        sensor = Frame.of(self.sensor_position_m, self.sensor_euler_deg)
+        clamp = Frame.of(self.clamp_position_m, self.clamp_euler_deg)
+        if imported:
+            return sensor, clamp
+        return _before(self.map_frames, "sensor").within(sensor), clamp.within(_before(self.map_frames, "clamp"))
 
     def applied(self, recording: Recording, tare: str = "auto") -> Recording:
         """A recording of this rig, as `calibrate` takes it, with poses and reactions of the true clamp, and the true rod.
@@ -190,21 +189,30 @@ class Calibration(Described):
             rig=self.uncertainty(),
         )
 
-    def corrected(self, wrench: Array, position_m: Array, quaternion: Array) -> tuple[Array, Array, Array, Array]:
-        """Force, moment and position (n, 3) and quaternion (n, 4) of the true clamp, by tared wrenches (n, 6) and poses."""
-        sensor, clamp = self.frames()
+    def corrected(
+        self, wrench: Array, position_m: Array, quaternion: Array, *, imported: bool = True
+    ) -> tuple[Array, Array, Array, Array]:
+        """Force, moment and position (n, 3) and quaternion (n, 4) of the true clamp, by tared wrenches (n, 6) and poses.
+
+        `imported` as of `frames`; a sensor whose own rows show the action of the rod on the clamp is read so.
+        """
+        sensor, clamp = self.frames(imported=imported)
         matrix = wrench_matrix(sensor.turn, sensor.position_m)
-        if self.gains.any():
-            own = wrench_matrix(self.before("sensor").turn, self.before("sensor").position_m)
+        if not imported:
+            of_clamp = self.map_frames.get("sensor", {}).get("shows") != SHOWS[1]
+            matrix = matrix * (1 + self.gains) * (1.0 if of_clamp else -1.0)
+        elif self.gains.any():
+            before = _before(self.map_frames, "sensor")
+            own = wrench_matrix(before.turn, before.position_m)
             matrix = matrix @ own * (1 + self.gains) @ np.linalg.inv(own)
         force, moment = np.hsplit(wrench @ matrix.T, 2)
         return force, moment, *clamp.carried(position_m, quaternion)
 
-    def moment_noise(self, force_N: float, moment_Nm: float) -> float:
-        """Standard deviation of the moment at the clamp by those of the sensor's force and moment."""
+    def moment_noise(self, force_N: float, moment_Nm: float, *, imported: bool = True) -> float:
+        """Standard deviation of the clamp's moment by those of the sensor's force and moment; `imported` as of `frames`."""
+        place = self.frames(imported=imported)[0].position_m
         # the mean over the components of the variance that the lever adds
-        lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
-        return float(np.sqrt(moment_Nm**2 + lever * force_N**2))
+        return float(np.sqrt(moment_Nm**2 + float(place @ place) * 2 / 3 * force_N**2))
 
     def uncertainty(self) -> RigUncertainty:
         """The covariance of the errors that remain in a recording that this corrects, to the first order.
@@ -220,7 +228,7 @@ class Calibration(Described):
         slopes = self._errors()[:, [OF_CONTACTS.index(self.names[k]) for k in known]]
         covariance = slopes @ self.covariance[np.ix_(known, known)] @ slopes.T
         uncertain = np.flatnonzero(np.diag(covariance) > 0)
-        covariance, own = covariance[np.ix_(uncertain, uncertain)], self.own_sensor()
+        covariance, own = covariance[np.ix_(uncertain, uncertain)], self.frames(imported=False)[0]
         names = tuple(RIG_QUANTITIES[k] for k in uncertain)
         # those that are corrected already are left by as much
         left = np.ones(len(self.gains_covariance)) if self.channels else 1 / (1 + self.gains)
@@ -293,32 +301,32 @@ def calibrate(
     if stated is None:
         stated = recording.source.get("map", {}).get("sensor", {}).get("accuracy")
     deviations = accuracy_of(DEFAULT_ACCURACY if stated is None else stated)
-    before = read_frame(Section("the map", map_frames.get("sensor", {}), "sensor"))
-    sensor = Sensor(deviations, before)
+    before = _before(map_frames, "sensor")
+    recording, sensor = _by_own_channels(recording, before), Sensor(deviations, before)
     fit = calibrated(recording, sphere if reference is None else reference, tare, pose_noise_m, sensor)
     nominal, rig, noise, air, touches = recording.rod, fit.rig, fit.noise, fit.problem.air, fit.problem.touches
     estimated = pose_noise_m is None and not recording.noise_pose_m
-    found = quantities(fit, rig, nominal)
+    found = quantities(fit, rig, nominal, before)
     names, values = tuple(found), np.array(list(found.values()))
-    by_rig, known = derivatives(fit, nominal, names)
+    by_rig, known = derivatives(fit, nominal, names, before)
     premises = checked(fit, recording, estimated)
     covariance = by_rig @ premises.covariance @ by_rig.T
     covariance[~known] = covariance[:, ~known] = 0
     # where cross-talk was found as well, gains are among what mixes the channels
     of_gains = np.zeros((6, len(fit.problem.free)))
     of_gains[:, GAIN:MIXING] = np.eye(6)
-    of_gains[:, MIXING:TARE] = np.einsum("ki,jk->kij", np.linalg.inv(rig.own), rig.own).reshape(6, 36)
+    of_gains[:, MIXING:TARE][:, ::7] = np.eye(6)
     of_gains[:, ~fit.problem.free] = 0
     gains = of_gains @ premises.covariance
     gains = np.hstack([gains @ of_gains.T, np.where(known, gains @ by_rig.T, 0.0)])
     deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
     limits = np.array([limit(name, value, nominal, fit) for name, value in found.items()])
-    shown = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
+    shown = _shown(rig, nominal, before)
     tare_and_drift = (
         shown.mean(axis=1) if air.model == "sweep" else shown[:, 0],
         shown[:, 1] if air.model == "linear" else np.ptp(shown, axis=1),
     )
-    rod, sentences = _rod(nominal, rig), premises.sentences
+    rod, sentences, left = _rod(nominal, rig), premises.sentences, _left_by(before, nominal, rig)
     if recording.gravity is not None and not recording.gravity.tared:
         place = nominal.length_m**2 * premises.covariance[SENSOR:PLACE, SENSOR:PLACE]
         place_and_turn = Frame(nominal.length_m * rig.sensor, rig.turn)
@@ -329,7 +337,9 @@ def calibrate(
         covariance, gains = np.pad(covariance, (0, 1)), np.pad(gains, ((0, 0), (0, 1)))
         covariance[-1, -1] = weight.sd_N**2 if np.isfinite(weight.sd_N) else 0.0
         if weight.tare_and_drift is not None:
-            rod, tare_and_drift = dataclasses.replace(rod, weight_N=weight.weight_N), weight.tare_and_drift
+            own = wrench_matrix(before.turn, before.position_m)
+            rod = dataclasses.replace(rod, weight_N=weight.weight_N)
+            tare_and_drift = own @ weight.tare_and_drift[0], own @ weight.tare_and_drift[1]
         elif weight.weight_N > CHANCE * weight.sd_N:
             sentences += (
                 f"In the air the sensor carries {force(weight.weight_N)}, whose centre is not the rod's: what else "
@@ -347,8 +357,8 @@ def calibrate(
         touched = {"kind": "sphere", "diameter_mm": 1000 * rig.reference.diameter_m, "position_mm": centre}
     return Calibration(
         rod=rod,
-        sensor_position_m=nominal.length_m * rig.sensor,
-        sensor_euler_deg=euler_of(rig.turn),
+        sensor_position_m=left.position_m,
+        sensor_euler_deg=euler_of(left.turn),
         clamp_position_m=nominal.length_m * rig.clamp,
         clamp_euler_deg=np.degrees([rig.tilt[0], 0.0, rig.tilt[1]]),
         tare=tare_and_drift[0],
@@ -412,10 +422,44 @@ def _map_frames(recording: Recording) -> dict[str, Any]:
     """The frames of the map with which a recording was imported."""
     map = recording.source.get("map", {})
     return {
-        title: {key: map[title][key] for key in ("position_mm", "euler_deg") if key in map[title]}
+        title: {key: map[title][key] for key in ("position_mm", "euler_deg", "shows") if key in map[title]}
         for title in ("sensor", "clamp")
         if title in map
     }
+
+
+def _before(map_frames: Mapping[str, Any], title: Literal["sensor", "clamp"]) -> Frame:
+    """The frame that the map of the touches had: the sensor's in the clamp's, or the clamp's in that of the poses."""
+    return read_frame(Section("the rig", map_frames.get(title, {}), f"map.{title}"))
+
+
+def _by_own_channels(recording: Recording, before: Frame) -> Recording:
+    """The recording with the wrench as the channels of the sensor show it, whose noise is independent, in place of that in the
+    clamp of a map that had stated the sensor's frame."""
+    if before.trivial:
+        return recording
+    _, wrench = six_channels(recording)
+    force, moment = to_inner(wrench[:, :3], wrench[:, 3:], before.turn, before.position_m)
+    # the largest of the components, by the lever of the force
+    lever = float((before.position_m**2).sum() - (before.position_m**2).min())
+    left = recording.noise_moment_Nm**2 - lever * recording.noise_force_N**2
+    return dataclasses.replace(
+        recording,
+        **reaction_columns(force, moment, recording.six_axis),
+        noise_moment_Nm=float(np.sqrt(max(left, 0.0))),
+    )
+
+
+def _left_by(before: Frame, nominal: Rod, rig: Rig) -> Frame:
+    """The frame of the sensor in the clamp's in which one `before` is that of its own channels."""
+    turn = rig.turn @ before.turn.T
+    return Frame(nominal.length_m * rig.sensor - turn @ before.position_m, turn)
+
+
+def _shown(rig: Rig, nominal: Rod, before: Frame) -> Array:
+    """(6, k) the tare in N and N·m, as coefficients of its basis, of the wrench in the clamp of a map."""
+    shown = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
+    return shown if before.trivial else wrench_matrix(before.turn, before.position_m) @ shown
 
 
 COVERAGE_FACTOR = 2.0
@@ -436,16 +480,20 @@ OF_CONTACTS = (
 """The quantities of a calibration that change contacts; the gains do so as well."""
 
 
-def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
-    """The quantities of a rig, which may be another one than that of the fit; a rod in a plane has fewer."""
-    mm, problem = 1000 * nominal.length_m, fit.problem
+def quantities(fit: Fit, rig: Rig, nominal: Rod, before: Frame) -> dict[str, float]:
+    """The quantities of a rig, which may be another one than that of the fit; a rod in a plane has fewer.
+
+    Those of the sensor are what the frame of a map `before` leaves, and the tare that of the wrench in this map's clamp.
+    """
+    mm, problem, sensor = 1000 * nominal.length_m, fit.problem, _left_by(before, nominal, rig)
     found = {
         "bending_stiffness_Nm2": nominal.bending_stiffness_Nm2 * float(np.exp(rig.stiffness)),
         "length_m": nominal.length_m * rig.length,
     }
-    turns = (("clamp_turn", "xz", np.degrees(rig.tilt)), ("sensor_turn", "xyz", euler_of(rig.turn)))
-    for part, place, (title, axes, angles) in zip(("clamp", "sensor"), (rig.clamp, rig.sensor), turns, strict=True):
-        found |= {f"{part}_{axis}_mm": mm * value for axis, value in zip("xyz", place, strict=True)}
+    turns = (("clamp_turn", "xz", np.degrees(rig.tilt)), ("sensor_turn", "xyz", euler_of(sensor.turn)))
+    places = mm * rig.clamp, 1000 * sensor.position_m
+    for part, place, (title, axes, angles) in zip(("clamp", "sensor"), places, turns, strict=True):
+        found |= {f"{part}_{axis}_mm": value for axis, value in zip("xyz", place, strict=True)}
         found |= {f"{title}_{axis}_deg": value for axis, value in zip(axes, angles, strict=True)}
     if isinstance(rig.reference, Plane):
         normal = rig.reference.axes[:, 2]
@@ -453,12 +501,11 @@ def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
         found["plane_offset_mm"] = mm * float(normal @ rig.reference.origin)
     else:
         found |= {f"sphere_{axis}_mm": mm * value for axis, value in zip("xyz", rig.reference.origin, strict=True)}
-    units = np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)
-    for name, unit, measured, tare in zip(CHANNELS, units, problem.channels, rig.tare, strict=True):
+    for name, measured, tare in zip(CHANNELS, problem.channels, _shown(rig, nominal, before), strict=True):
         if measured and problem.air.model == "sweep":
-            found[f"tare_{name}"] = unit * tare.mean()
+            found[f"tare_{name}"] = tare.mean()
         elif measured:
-            found |= {f"{title}_{name}": unit * value for title, value in zip(("tare", "drift"), tare, strict=False)}
+            found |= {f"{title}_{name}": value for title, value in zip(("tare", "drift"), tare, strict=False)}
     if problem.free[SHAPE]:
         found["tip_diameter_ratio"] = rig.rod.profile.diameters[-1]
         found |= {
@@ -472,11 +519,13 @@ def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
-def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...]) -> tuple[Array, Mask]:
+def derivatives(fit: Fit, nominal: Rod, names: tuple[str, ...], before: Frame) -> tuple[Array, Mask]:
     """(q, p) derivatives of the quantities by the parameters, and which quantities (q,) the touches determine."""
     size, columns = 1e-5, []
     for step in size * np.eye(len(fit.problem.free)):
-        ahead, behind = (np.array(list(quantities(fit, fit.rig.moved(s), nominal).values())) for s in (step, -step))
+        ahead, behind = (
+            np.array(list(quantities(fit, fit.rig.moved(s), nominal, before).values())) for s in (step, -step)
+        )
         columns.append((ahead - behind) / (2 * size))
     slopes = np.column_stack(columns)
     angles, half_turn = [name.endswith("_deg") for name in names], 180 / size

@@ -156,7 +156,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     own stretches in the air, because it changes from day to day.  Raises InputError as `scan3d.read_rig`.
     """
     found = rig if isinstance(rig, Calibration) else read_rig(rig)
-    sensor, clamp, transducer = found.own_sensor(), found.frames()[1].within(found.before("clamp")), map.transducer
+    (sensor, clamp), transducer = found.frames(imported=False), map.transducer
     if found.channels:  # places in the clamp's frame say nothing of that
         clamp = map.clamp
         units = np.array([map.factors["force" if name[0] == "f" else "moment"] for name in found.channels])

@@ -33,7 +33,7 @@ from scan3d.files.text import (
 from scan3d.laboratory.bags import bag_files, is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.recording import Known
-from scan3d.rigs import Frame, RigUncertainty, accuracy_of
+from scan3d.rigs import SHOWS, Frame, RigUncertainty, accuracy_of
 from scan3d.rods import Gravity, Rod
 from scan3d.units import FACTORS, UNITS_M, is_finite, spelled, without_unit
 
@@ -42,7 +42,6 @@ Reference = str | int
 an empty text stands for a column that does not exist."""
 
 ORIENTATIONS = ("quaternion", "euler", "rotvec", "matrix")
-SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
 WRENCH_IN = ("sensor", "world")
 MISSING = ("refuse", "drop")

@@ -19,8 +19,8 @@ from scan3d.calibration.report import Calibration
 from scan3d.errors import InputError
 from scan3d.files.tables import Table, read_table
 from scan3d.files.text import Section, did_you_mean, read_frame, read_rod, read_section, read_transducer
-from scan3d.laboratory.maps import SHOWS
 from scan3d.recording import rounding_sd
+from scan3d.rigs import SHOWS
 from scan3d.units import FACTORS, stated_unit, without_unit
 
 _LENGTHS = ("s", "x", "y", "z", "sd", "pin_diameter")

@@ -30,7 +30,7 @@ from scan3d.planning.plan import Plan
 from scan3d.planning.probing import Probings
 from scan3d.poses import TABLE, Move, PoseList, measures
 from scan3d.recording import Recording, reaction_columns
-from scan3d.rigs import axes_of, check_positions, to_inner, turn_of
+from scan3d.rigs import SHOWS, axes_of, check_positions, to_inner, turn_of
 from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.simulation.probing import felt_along
@@ -357,8 +357,6 @@ def _warnings(
     return tuple(sentences)
 
 
-SHOWS = ("clamp-on-rod", "rod-on-clamp")
-"""Which wrench the sensor shows; the first is that of a recording."""
 DRIFTS = ("linear", "random-walk")
 # Streams of random numbers: each fault draws from a separate one, so that one fault does not change the others.
 _STREAMS = ("bias", "drift", "white", "pink", "jitter", "missing")
