@@ -14,6 +14,7 @@ from scan3d import InputError
 from scan3d.reconstruction.agreement import checked
 from scan3d.reconstruction.contacts import contacts, readings, without_normals
 from scan3d.recording import Known, of_rows
+from scan3d.rigs import Frame, euler_of
 from tests.rig_errors import six_axis
 
 RODS = {
@@ -87,7 +88,7 @@ def test_the_contacts_are_those_of_the_whole_recording(rod, model, noise):
 
 
 @pytest.mark.slow
-def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
+def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording(tmp_path):
     raw = rigs.recorded(seed=1, samples=60)
     calibration = scan3d.calibrate(raw, sphere=rigs.DIAMETER)
     live = scan3d.Live(calibration, air_rows=5)
@@ -109,6 +110,28 @@ def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording():
     assert alone[known.touching].all()
     cloud = without_normals(live.recording, known)
     np.testing.assert_array_equal([found[k].point for k in cloud.row], cloud.points)
+    # a map that states frames and sign leaves less to the rig, and the rows of the sensor are what they were
+    stated = {"position_mm": [1.0, -20.0, 3.0], "euler_deg": [5.0, 20.0, -8.0]}
+    own, (sensor, clamp) = Frame.of((0.001, -0.02, 0.003), (5.0, 20.0, -8.0)), calibration.frames()
+    turns = sensor.turn @ own.turn.T, own.turn.T @ clamp.turn
+    mapped = replace(
+        calibration,
+        sensor_position_m=sensor.position_m - turns[0] @ own.position_m,
+        sensor_euler_deg=euler_of(turns[0]),
+        clamp_position_m=own.turn.T @ (clamp.position_m - own.position_m),
+        clamp_euler_deg=euler_of(turns[1]),
+        map_frames={"sensor": {**stated, "shows": "rod-on-clamp"}, "clamp": stated},
+    )
+    scan3d.write_rig(mapped, tmp_path / "rig.toml")
+    other, k, rng = (
+        scan3d.Live(tmp_path / "rig.toml", air_rows=5),
+        int(some[known.touching][20]),
+        np.random.default_rng(0),
+    )
+    for time in range(-5, 0):
+        other.push(time, raw.position_m[0], raw.quaternion[0], -(bias + 1e-9 * rng.normal(size=6)))
+    again = other.push(0.0, raw.position_m[k], raw.quaternion[k], -wrench[k], int(raw.sweep[k]))
+    assert again.point == pytest.approx(found[list(some).index(k)].point, abs=1e-5)
     # they lie on the sphere that was touched
     away = np.linalg.norm(cloud.points / 1000 - rigs.CENTRE, axis=1) - rigs.DIAMETER / 2
     assert np.median(np.abs(away)) < 5e-4
