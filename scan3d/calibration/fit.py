@@ -567,7 +567,7 @@ def _in_plane(fit: Fit) -> bool:
 
 
 _WRENCHES = (
-    "In contact the moments about the rod and along the force deviate from zero by {off}: {effect}. The likeliest causes are "
+    "In contact one of the moments about the rod and along the force deviates from zero by {off}: {effect}. Likely causes are "
     "noise of the sensor that is larger than stated or alike in neighbouring rows, friction across a thick rod, a second "
     "contact, a sensor whose channels mix, and a tare that changes within a sweep."
 )

@@ -632,7 +632,8 @@ def _figures_of_sweep(found: Any) -> dict[str, Any]:
     sweep, contacts, touching, tangential = found.sweep, found.contacts, found.touching, found.tangential
     scale, unit = (1e3 * sweep.rod.length_m, "mm") if sweep.rod else (1.0, "rod lengths")
     codes, counts = np.unique(contacts.status[~touching & ~found.undetermined], return_counts=True)
-    friction, s1 = contacts.friction[tangential], scale * contacts.s1[touching]
+    # a contact of the tip is at the rod's end, which its error may put farther along
+    friction, s1 = contacts.friction[tangential], scale * np.minimum(contacts.s1[touching], 1.0)
     data = {
         "unit": unit,
         "samples": len(sweep),

@@ -397,8 +397,9 @@ def import_figure(imported: Imported) -> Any:
                     axes.plot(clock, zero[:, column] / sizes[column], color=parts.INK, lw=0.9, ls="--")
             axes.set_ylabel(f"{('force', 'moment')[part]} in {units[3 * part]}", fontsize=FONT - 2)
             figures.open_axes(axes, FONT - 3)
-            axes.legend(fontsize=FONT - 3, frameon=False, ncols=3)
-        panels[0, side].set_title(title, loc="left", fontsize=FONT - 1)
+            above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+            axes.legend(fontsize=FONT - 3, frameon=False, ncols=3, columnspacing=1.0, handlelength=1.2, **above)
+        panels[0, side].set_title(title, loc="left", fontsize=FONT - 1, pad=18)
         panels[1, side].set_xlabel("row" if imported.log.time_s is None else "time in s", fontsize=FONT - 2)
     return figure
 
