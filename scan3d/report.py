@@ -541,10 +541,8 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share'])} of the area"
             if near["in_cavities"]:
                 over += f"; {share(near['in_cavities'])} bounds closed cavities, where nothing from outside comes"
-            yield (
-                "where touched",
-                f"{length(near['max'], unit)} at most ({part} of the diagonal) at 20,000 places, {over}",
-            )
+            most = f"{length(near['max'], unit)} at most ({part} of the diagonal), at up to 20,000 places"
+            yield "where touched", f"{most}; {over}"
     measured = next((one for one in data.get("measurands", ()) if one["quantity"] == "volume"), None)
     if measured and not data["warnings"] and all(map(is_finite, measured["interval"])):
         low, high = measured["interval"]

@@ -17,6 +17,7 @@ from scan3d.calibration import fit
 from scan3d.calibration.model import MIXING, SENSOR, SHAPE, STIFFNESS, TILT, Kind, equations
 from scan3d.calibration.references import Plane, Sphere, six_channels, unloaded, weighed
 from scan3d.recording import of_rows
+from scan3d.rigs import Frame, to_outer
 from tests import references, rigs
 
 pytestmark = pytest.mark.slow
@@ -256,6 +257,17 @@ def test_a_rod_in_a_plane_has_fewer_parameters(noise, tip):
             assert value == pytest.approx(truth[name], rel=1e-6, abs=4 * deviation if noise else 1e-7), name
     assert known[found.names.index("sensor_turn_z_deg")]
     assert known[found.names.index("length_m")] == tip
+    # a map has turned and moved the sensor, and the rig is what it is
+    frame = Frame.of((0.004, -0.02, 0.01), (180.0, 0.0, 30.0))
+    zero = np.zeros(len(recording))
+    shown = [np.column_stack([recording.force_N, zero]), np.column_stack([zero, zero, recording.moment_Nm])]
+    force, moment = to_outer(*shown, frame.turn, frame.position_m)
+    mapped = dataclasses.replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2])
+    mapped = replace_noise(mapped, float(np.hypot(0.004, 0.02)))
+    again = scan3d.calibrate(stated(mapped, position_mm=[4, -20, 10], euler_deg=[180, 0, 30]), rigs.DIAMETER)
+    for one, other in zip(found.frames(imported=False), again.frames(imported=False), strict=True):
+        assert other.position_m[:2] == pytest.approx(one.position_m[:2], abs=2e-4)
+    assert again.values[:2] == pytest.approx(found.values[:2], rel=2e-3)
     # how far the plane is from the sphere's centre would enter by its square
     assert not known[[found.names.index(name) for name in ("clamp_z_mm", "sphere_z_mm")]].any()
     assert any("The sweeps lie in one plane" in sentence for sentence in found.sentences)
@@ -324,6 +336,17 @@ def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_
     assert np.abs((found.values[rig] - true) / found.standard_deviations[rig]).max() < 4
 
 
+def replace_noise(recording, lever):
+    """A recording whose noise of the moment is that of a clamp so far from the sensor."""
+    moment = np.hypot(recording.noise_moment_Nm, lever * recording.noise_force_N)
+    return dataclasses.replace(recording, noise_moment_Nm=float(moment))
+
+
+def stated(recording, **frame):
+    """A recording that was imported by a map that states the frame of the sensor."""
+    return dataclasses.replace(recording, source={"map": {"sensor": frame}})
+
+
 def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     recording = rigs.recorded(sweeps=15, **SHORT)
     touching = np.isfinite(rigs.swept(sweeps=15, **SHORT)[4].s1).ravel()
@@ -341,6 +364,7 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
         (wrong_sign, rigs.DIAMETER, "signs of forces and moments"),
         (recorded("plane", sweeps=15, **SHORT)[0], rigs.DIAMETER, "do not fit a sphere of 30 mm"),
         (rigs.planar_recorded()[0], "plane", "all six components; with three, touch a sphere"),
+        (stated(rigs.planar_recorded()[0], euler_deg=[90, 0, 0]), rigs.DIAMETER, "whose z axis is along the clamp's"),
     ):
         with pytest.raises(InputError, match=sentence):
             scan3d.calibrate(given, reference)

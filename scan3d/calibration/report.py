@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.calibration.fit import Fit, Sensor, calibrated, checked
 from scan3d.calibration.model import GAINS as GAIN
 from scan3d.calibration.model import MIXING, PLACE, SENSOR, SHAPE, TARE, TURN, Kind, Rig
@@ -302,6 +302,8 @@ def calibrate(
         stated = recording.source.get("map", {}).get("sensor", {}).get("accuracy")
     deviations = accuracy_of(DEFAULT_ACCURACY if stated is None else stated)
     before = _before(map_frames, "sensor")
+    if not recording.six_axis:  # channels that were not measured have no moment about other axes
+        before = dataclasses.replace(before, position_m=before.position_m * [1, 1, 0])
     recording, sensor = _by_own_channels(recording, before), Sensor(deviations, before)
     fit = calibrated(recording, sphere if reference is None else reference, tare, pose_noise_m, sensor)
     nominal, rig, noise, air, touches = recording.rod, fit.rig, fit.noise, fit.problem.air, fit.problem.touches
@@ -438,11 +440,16 @@ def _by_own_channels(recording: Recording, before: Frame) -> Recording:
     clamp of a map that had stated the sensor's frame."""
     if before.trivial:
         return recording
-    _, wrench = six_channels(recording)
+    if not recording.six_axis and abs(abs(before.turn[2, 2]) - 1) > NEGLIGIBLE:
+        raise InputError(
+            "three channels are calibrated of a sensor whose z axis is along the clamp's: name those along the clamp's axes "
+            "under [columns] of the map, with - where one is reversed, in place of euler_deg under [sensor]"
+        )
+    channels, wrench = six_channels(recording)
     force, moment = to_inner(wrench[:, :3], wrench[:, 3:], before.turn, before.position_m)
-    # the largest of the components, by the lever of the force
-    lever = float((before.position_m**2).sum() - (before.position_m**2).min())
-    left = recording.noise_moment_Nm**2 - lever * recording.noise_force_N**2
+    # what was stated is that of the largest component, by the levers of the force
+    levers = (before.position_m**2).sum() - before.position_m**2
+    left = recording.noise_moment_Nm**2 - float(levers[channels[3:]].max()) * recording.noise_force_N**2
     return dataclasses.replace(
         recording,
         **reaction_columns(force, moment, recording.six_axis),
