@@ -275,10 +275,9 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if reached is not None:
-        outcome = (
-            reached.refuted or reached.unbounded or "contacts and free space do not contradict it, which proves nothing"
-        )
-        assumed += (Premise(reached.premise, True, outcome),)
+        outcome = "contacts and free space do not contradict it, which proves nothing"
+        outcome = "contradicted" if reached.refuted else reached.unbounded or outcome
+        assumed += (Premise(reached.premise, not reached.unbounded, outcome),)
     return {
         "bound": bound,
         "relative": analysis.certificate.relative(cloud.points),

@@ -110,6 +110,14 @@ class _Free(NamedTuple):
     """By how much radii are smaller than they would be if all were known exactly, the errors of contacts included."""
 
 
+def _finest(contacts: Array, R: float, bead: float) -> float:
+    """The least reach, or the least radius of a bead alone, that the cells allow, which grow with it; from above."""
+    least = R or bead
+    for _ in range(3):  # each time a hundredth of what is missing is left, or less
+        least = _COARSEST * Grid.around(contacts, least + bead if R else least).step
+    return 1.001 * least
+
+
 def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = None) -> Reach:
     """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices and probings.
 
@@ -134,9 +142,10 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     contacts, errors = touched.points, place_errors(touched) + _SMOOTH * R
     error = float(errors.max())
     grid = Grid.around(contacts, R + bead)
+    finest = _finest(contacts, R, bead)
+    least = length(finest, cloud.unit, up=True)
     if grid.step * _COARSEST > (R or bead):
         nothing = below(np.full(grid.shape, np.inf), 0.0, grid)
-        least = length(_COARSEST * grid.step, cloud.unit)
         what = f"a reach of {length(R, cloud.unit)}" if R else f"the radius of a bead, {length(bead, cloud.unit)},"
         why = f"nothing bounds the body: {what} is too fine for a body of this size; it must be at least {least}"
         return Reach(nothing, nothing, np.inf, None, why, _NOTHING_FINER if R else _ANY_SHAPE, [])
@@ -197,7 +206,8 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     if contradictions:
         refuted = (
             f"the body has features finer than {length(R, cloud.unit)}, or rods touched at a second place unnoticed: "
-            f"{' and '.join(contradictions)}; take a smaller reach"
+            f"{' and '.join(contradictions)}; "
+            + (f"take a smaller reach, of {least} at least" if finest < 0.99 * R else f"one below {least} is too fine")
         )
     elif leaks.any():
         unbounded = open_towards(leaks)

@@ -224,7 +224,8 @@ def _known_columns(path: Path, header: Sequence[str], known: Known | None) -> tu
     if missing and known is None:
         raise InputError(
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
-            f"(scan3d simulate writes such a table); one sweep in one plane has the columns x0, f0x, f0y, m0z"
+            f"(scan3d simulate writes such a table, and scan3d import makes one of the log of a laboratory); one sweep in one "
+            "plane has the columns x0, f0x, f0y, m0z"
         )
     further = [name for name in SIX_AXES if name in header] if known is None or known.channel in FOLLOWED else []
     if further and len(further) < len(SIX_AXES):

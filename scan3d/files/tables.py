@@ -416,7 +416,8 @@ def _cells(
     if wrong is None:
         return list(zip(*rows, strict=True))
     number, found = wrong
-    advice = f", from column {count + 1} on; check the delimiter and the names in the header"
+    log = "; scan3d import reads the log of a laboratory" if layout is _OURS else ""
+    advice = f", from column {count + 1} on; check the delimiter and the names in the header{log}"
     if found < count:
         advice = f"; it ends in column {found}: is it cut off? complete or remove it"
     elif layout.delimiter == "," and found <= 2 * count:

@@ -219,7 +219,8 @@ _HISTOGRAM_HEIGHT = 0.6
 def reactions(scene: Scene, sheet: Sheet) -> Any:
     """A figure of the support reactions over the clamp travel, with a curve for every sweep: three panels, or six.
 
-    Of more than 60 sweeps, which merge into a grey area, as many are drawn.  Raises InputError without a recording.
+    Probings are drawn where there is nothing else.  Of more than 60 sweeps, which merge into a grey area, as many are drawn.
+    Raises InputError without a recording.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -229,7 +230,8 @@ def reactions(scene: Scene, sheet: Sheet) -> Any:
         raise InputError(
             f"{scene.name} has no recording, whose reactions the view forces shows: show a scan's folder, or a recording"
         )
-    numbers = np.unique(recording.sweep)
+    probing = recording.in_probings  # which are two samples each
+    numbers = np.unique(recording.sweep[~probing] if not probing.all() else recording.sweep)
     colors = ScalarMappable(Normalize(float(numbers[0]), float(max(numbers[-1], numbers[0] + 1))), "viridis")
     force, moment = recording.wrench() if recording.six_axis else (recording.force_N, recording.moment_Nm)
     wrench = np.column_stack([force, moment])

@@ -287,6 +287,8 @@ def _reasons(surface: Any, patches: list[dict[str, Any]], cloud: Cloud, size: fl
     standing = (
         np.zeros(len(places), dtype=bool) if cloud.table is None else places[:, 2] - cloud.table <= TOUCHED * size
     )
+    bead = 2 * cloud.bead_radius
+    fits = f" where the bead of {length(bead, cloud.unit)} fits in" if bead else ""
     return [
         "the body stands on the table there"
         if stands
@@ -294,7 +296,7 @@ def _reasons(surface: Any, patches: list[dict[str, Any]], cloud: Cloud, size: fl
         if not free
         else f"deeper than the rod reaches: {length(deep, cloud.unit)} behind the hull"
         if far
-        else "a straight rod reaches it; more planes may touch it"
+        else f"a straight rod reaches it; more planes may touch it{fits}"
         for stands, free, far, deep in zip(standing, open_to, short, depth, strict=True)
     ]
 
