@@ -212,7 +212,7 @@ def _spread(corners: Array) -> _Samples:
     pieces, owner = corners, np.arange(len(corners))
     while True:  # halve the pieces with long edges
         length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
-        long = length > length.max() / 2
+        long = length > (0.5 + NEGLIGIBLE) * length.max()
         # none is long if the surface is but a point beside the other one
         if not long.any() or len(pieces) + np.count_nonzero(long) > SOME:
             break

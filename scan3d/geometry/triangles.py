@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index, Mask, unit_or_zero
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask, unit_or_zero
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -44,10 +44,14 @@ def areas(corners: Array) -> Array:
 
 
 def longest_first(corners: Array) -> Index:
-    """Order (m, 3) of the corners of triangles (m, 3, 3) that puts the longest edge first and keeps the winding."""
+    """Order (m, 3) of the corners of triangles (m, 3, 3) that puts the longest edge first and keeps the winding.
+
+    Of edges that are equally long but for rounding it is the first, which rounding does not decide.
+    """
     edges = np.roll(corners, -1, axis=1) - corners
     first, second, third = dot(edges, edges).T
-    longest = np.where(third > np.maximum(first, second), 2, second > first)
+    than = 1 + NEGLIGIBLE
+    longest = np.where(third > than * np.maximum(first, second), 2, second > than * first)
     return np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])[longest]
 
 
