@@ -463,7 +463,8 @@ class Result(Shown):
         drawn, scene = sheet(size, dpi, camera), self._scene()
         if truth is not None:
             is_path = isinstance(truth, (str, os.PathLike))
-            body = load_mesh(truth, hull=True, unit=scene.unit) if is_path else judge_mesh(truth, hull=True)
+            hull = of_hull(self.report)
+            body = load_mesh(truth, hull=hull, unit=scene.unit) if is_path else judge_mesh(truth, hull=hull)
             scene = dataclasses.replace(scene, truth=body)
         other = None if against is None else other_surface(against, scene.unit)
         return notebook.scene_image(scene, view, color, drawn, against=other, path=path, overwrite=overwrite)
@@ -498,8 +499,7 @@ class Result(Shown):
         scene, mesh = self._files, find_truth(self._place, self.report)
         if mesh is None:
             return scene
-        hull = bool((self.report.get("mesh") or {}).get("hull"))
-        return dataclasses.replace(scene, truth=load_mesh(mesh, hull=hull, unit=scene.unit))
+        return dataclasses.replace(scene, truth=load_mesh(mesh, hull=of_hull(self.report), unit=scene.unit))
 
 
 class Scanned(Result):
@@ -621,6 +621,11 @@ def read_scene(path: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
         return scene_of_folder(path, report, unit), report
     scene = read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
     return scene or Scene(path.stem, unit, surface=read_mesh(path, unit)), {}
+
+
+def of_hull(report: Mapping[str, Any]) -> bool:
+    """Whether a report's true body is the convex hull of the mesh that it names."""
+    return bool((report.get("mesh") or {}).get("hull"))
 
 
 def find_truth(folder: Path, report: Mapping[str, Any]) -> Path | None:

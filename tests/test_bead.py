@@ -12,9 +12,10 @@ from scan3d.bounds import grids
 from scan3d.bounds.reach import reach
 from scan3d.calibration.fit import calibrated
 from scan3d.errors import InputError
+from scan3d.files.whole import unchanged
 from scan3d.geometry.crossings import first_touches
 from scan3d.laboratory.one_sweep import read_sweep
-from scan3d.pipeline import analyse
+from scan3d.pipeline import analyse, write
 from scan3d.planning.probing import Probings
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.reconstruction.probings import passed_in_probings
@@ -201,6 +202,17 @@ def test_report_and_summary_say_what_a_bead_proves(coarse):
     assert ("certified", "from outside, by the bead: the body lies in that of outer.ply") in [
         (name, words.split(";")[0]) for name, words in summary(data)[1]
     ]
+
+
+def test_the_bodies_that_bound_belong_to_the_result(coarse, no_pictures, tmp_path):
+    analysis = analyse(recording_of(trimesh.creation.torus(10, 4)))
+    written = write(analysis, tmp_path, settings={})
+    assert unchanged(tmp_path) == set(written["files"]) >= {"outer.ply"}
+    write(replace(analysis, reach=None), tmp_path, settings={})
+    assert not (tmp_path / "outer.ply").exists()
+    (tmp_path / "outer.ply").write_text("somebody's")
+    with pytest.raises(InputError, match=r"outer\.ply"):
+        write(analysis, tmp_path, settings={})
 
 
 def test_a_reach_and_a_bead_add_up(coarse):

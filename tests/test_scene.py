@@ -268,6 +268,12 @@ def test_the_deviation_is_looked_up_inside_large_facets(cube):
     assert cube.bound.min() - 1e-6 <= bound.min() <= bound.max() <= cube.bound.max() + 1e-6
 
 
+def test_the_deviation_is_positive_outside_also_where_a_body_is_not_convex():
+    thicker, body = trimesh.creation.torus(10, 4.2, 96, 48), trimesh.creation.torus(10, 4, 96, 48)
+    deviation = shown_surface(parts.Scene("ring", "mm", surface=thicker, truth=body))[1]
+    np.testing.assert_allclose(deviation, 0.2, atol=0.02)
+
+
 def test_no_bound_is_shown_that_is_larger_than_that_of_a_corner(cube):
     """Slivers, of which barycentric coordinates are rounding, show values of their corners, as every other facet does."""
     rng = np.random.default_rng(3)

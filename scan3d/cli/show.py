@@ -159,7 +159,7 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     else:
         scene, report = results.read_scene(path, unit)
         truth = truth or results.find_truth(path, report)
-        hull = hull or bool((report.get("mesh") or {}).get("hull"))
+        hull = hull or results.of_hull(report)
     return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull, unit=scene.unit)) if truth else scene
 
 

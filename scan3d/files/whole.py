@@ -39,8 +39,10 @@ SCHEMA = 1
 
 Kind = tuple[str, ...]
 """The files of a kind of result, the last of them its report, which names the others with their SHA-256."""
-RESULTS: Kind = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
-"""Those of a scan; not every one has pictures."""
+RESULTS: Kind = (
+    *RECORDING, "cloud.ply", "surface.ply", "outer.ply", "inner.ply", "view.html", "cloud.png", "surface.png", REPORT
+)  # fmt: skip
+"""Those of a scan; not every one has pictures, or the two bodies that bound one that is not convex."""
 BATCH: Kind = ("summary.csv", "batch.json")
 Inputs = Mapping[str, str | os.PathLike[str] | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""

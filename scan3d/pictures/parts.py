@@ -19,7 +19,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.shapes import cloud_table, scale_lengths
 from scan3d.geometry.distance import signed_distances
-from scan3d.geometry.hulls import HULL_OF_MESH
+from scan3d.geometry.hulls import HULL_OF_MESH, is_convex
 from scan3d.geometry.sections import section_lines
 from scan3d.recording import Recording
 from scan3d.spatial import inverse, march
@@ -350,7 +350,7 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array 
         bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
     if scene.truth is None:
         return mesh, None, bound, known
-    distances = _distances_from_other if scene.is_other else signed_distances
+    distances = signed_distances if not scene.is_other and is_convex(scene.truth) else _distances_from_other
     return mesh, distances(np.asarray(mesh.vertices), scene.truth), bound, known
 
 
