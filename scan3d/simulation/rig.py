@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import NEGLIGIBLE, Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.files.text import Section, read_section
 from scan3d.geometry.distance import segments_meet
@@ -196,10 +196,11 @@ def simulate_rig(
         )
     reactions = felt(mesh, tracks, real, metres, model) if tracks else []
     wrench = np.zeros((len(rows.time), 6))
-    for number, place, reaction in probed:
-        at_stop = (rows.sweep == number) & (rows.move == Move.PROBE)
-        at_stop &= np.linalg.norm(rows.position_m - place, axis=1) <= NEGLIGIBLE * real.length_m
-        wrench[at_stop] = reaction
+    if len(probed.number):
+        of, at_stop = _member(probed.number, rows.sweep)
+        at_stop &= rows.move == Move.PROBE
+        at_stop &= np.linalg.norm(rows.position_m - probed.place_m[of], axis=1) <= NEGLIGIBLE * real.length_m
+        wrench[at_stop] = probed.wrench[of[at_stop]]
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
     warnings = _warnings(around, poses, reactions, length, radius, metres)
@@ -233,20 +234,26 @@ def simulate_rig(
     )
 
 
-_Probed = tuple[int, Array, Array]
-"""A probing that touches: its number, where the clamp stops (3,), and what is felt there (6,), in SI units."""
+class _Probed(NamedTuple):
+    """Probings (n,) that touch."""
+
+    number: Index
+    place_m: Array
+    """(n, 3) where the clamp stops."""
+    wrench: Array
+    """(n, 6) what is felt there, in SI units."""
 
 
 def _stopped(
     mesh: Any, poses: PoseList, settings: Plan, metres: float, faults: Faults | None
-) -> tuple[PoseList, list[_Probed]]:
+) -> tuple[PoseList, _Probed]:
     """The poses, of which probings end where they touch, and the probings that do.
 
     Those of which it is not known what they touch are left out.  Where rows are logged at a rate, the clamp waits for a few.
     """
     groups = [rows for rows in poses.sweeps() if poses.move[rows[0]] == Move.PROBE]
     if not groups:
-        return poses, []
+        return poses, _Probed(np.empty(0, dtype=np.intp), np.empty((0, 3)), np.empty((0, 6)))
     rod = settings.rod
     assert rod is not None
     first, last = np.array([rows[0] for rows in groups]), np.array([rows[-1] for rows in groups])
@@ -260,27 +267,30 @@ def _stopped(
     found = felt_along(mesh, moves, rod, length, friction, stop, None, settings.model == "planar")
     place = poses.position_m[first] + found.travel[:, None] * metres * axes[:, 1]
     wrench = np.hstack([found.force * rod.force_unit_N, found.moment * rod.moment_unit_Nm])
-    position, keep = poses.position_m.copy(), np.ones(len(poses), dtype=bool)
-    repeat, probed = np.ones(len(poses), dtype=int), list[_Probed]()
-    for k, rows in enumerate(groups):
-        number = int(poses.sweep[rows[0]])
-        if not found.resolved[k]:
-            keep[poses.sweep == number] = False
-        elif found.touches[k]:
-            position[rows[-1]] = place[k]
-            beyond = (position[rows[1:-1]] - place[k]) @ axes[k, 1] >= 0
-            keep[rows[1:-1][beyond]] = False
-            repeat[rows[-1]] = 1 if faults is None else 1 + math.ceil(_WAIT / faults.rate_hz / 1e-3)
-            probed.append((number, place[k], wrench[k]))
-            # what is drawn back begins there
-            after = np.flatnonzero((poses.sweep == number) & (poses.move == Move.RETRACT))
-            aside = (position[after] - place[k]) @ axes[k, 1] > 0
-            keep[after[aside]] = False
+    touches = found.touches & found.resolved
+    position, repeat = poses.position_m.copy(), np.ones(len(poses), dtype=int)
+    position[last[touches]] = place[touches]
+    repeat[last[touches]] = 1 if faults is None else 1 + math.ceil(_WAIT / faults.rate_hz / 1e-3)
+    of, is_probed = _member(poses.sweep[first], poses.sweep)
+    beyond = np.einsum("ni,ni->n", poses.position_m - place[of], axes[of, 1])
+    is_end = np.isin(np.arange(len(poses)), np.concatenate([first, last]))
+    not_reached = (poses.move == Move.PROBE) & ~is_end & (beyond >= 0)
+    # what is drawn back begins where it touched
+    not_reached |= (poses.move == Move.RETRACT) & (beyond > 0)
+    keep = ~(is_probed & np.where(found.resolved[of], touches[of] & not_reached, True))
     kept_rows = np.repeat(np.flatnonzero(keep), repeat[keep])
     if not len(kept_rows):
         raise InputError("of none of the probings is it known what the rod touches; plan others")
     columns = {name: getattr(poses, name)[kept_rows] for name in ("sweep", "quaternion", "move")}
+    probed = _Probed(poses.sweep[first[touches]], place[touches], wrench[touches])
     return replace(poses, position_m=position[kept_rows], **columns), probed
+
+
+def _member(numbers: Index, sweep: Index) -> tuple[Index, Mask]:
+    """Which of some different numbers (k,) the sweeps (n,) of rows have, and whether they have any of these."""
+    order = np.argsort(numbers)
+    of = order[np.searchsorted(numbers, sweep, sorter=order).clip(max=len(numbers) - 1)]
+    return of, numbers[of] == sweep
 
 
 def _rows_of(poses: PoseList, faults: Faults | None) -> _Rows:
