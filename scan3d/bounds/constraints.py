@@ -7,8 +7,6 @@ ends.  Contacts in slices use one end on either side of their slice; those of co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +15,6 @@ from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import (
-    NEGLIGIBLE,
     ROUNDING,
     Array,
     Index,
@@ -27,7 +24,6 @@ from scan3d.arrays import (
 from scan3d.cloud import Cloud
 from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
-from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import Slice, SliceStack
 
 CONFIDENCE = 0.95
@@ -118,9 +114,7 @@ class HalfSpaces(NamedTuple):
     planes: Array
     """(k, 4) a, unit vectors, and b of ``a·x + b <= 0``."""
     straight: Mask
-    """(k,) whether the body goes on straight on the slice's other side, as far as slices along one axis tell."""
-    points: Array
-    """(k, 3) the contacts, where slices along several axes cut them into cells; else (0, 3)."""
+    """(k,) whether the body goes on straight on the slice's other side."""
 
 
 def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpaces:
@@ -132,7 +126,7 @@ def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpace
     behind, ahead = (below, above) if side else (above, below)
     anchors = _anchors(stack, behind, slice_)
     if not anchors or not len(slice_.angle):
-        return HalfSpaces(np.empty((0, 4)), np.empty(0, dtype=bool), np.empty((0, 3)))
+        return HalfSpaces(np.empty((0, 4)), np.empty(0, dtype=bool))
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     slope = secants(slice_.value, slice_.height, anchors, normals, margin, stack.height_error)
     move = np.full(len(slope), margin)
@@ -145,7 +139,7 @@ def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpace
     planes = _inclined(normals @ stack.frame[:2], stack.frame[2], slope, slice_.value, slice_.height, move)
     straight = _goes_on_straight(slice_, behind, ahead, normals)
     finite: Mask = np.asarray(np.isfinite(planes).all(axis=1))
-    return HalfSpaces(planes[finite], straight[finite], np.empty((0, 3)))
+    return HalfSpaces(planes[finite], straight[finite])
 
 
 def _anchors(stack: SliceStack, others: tuple[Slice, ...], slice_: Slice) -> tuple[Slice, ...]:
@@ -198,78 +192,3 @@ def _goes_on_straight(slice_: Slice, behind: tuple[Slice, ...], ahead: tuple[Sli
     closest = min(abs(slice_.height - nearest.height), abs(nearest.height - next_.height))
     rounding = ROUNDING * np.abs(slice_.value).max() / closest
     return np.abs(near - far) <= STRAIGHT * np.abs(near - across) + rounding
-
-
-def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list[HalfSpaces]]], float]:
-    """The half-spaces of a cloud of exact contacts in slices along several axes, by arcs (S27): of each axis, side and slice.
-
-    The second result is the largest distance of a contact from the plane of its slice.
-    """
-    error = exact_error(cloud)
-    tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
-    tangential_rows = tangential(replace(cloud, tangents=tangents))
-    places = Places(cloud.points, np.full(len(cloud), error))
-    ends = np.full((len(cloud), 2, 3), np.nan)
-    ends[tangential_rows] = arcs_of_contacts(places, tangents, tangential_rows, np.zeros(len(tangential_rows))).ends()
-    off = error + max(
-        float(np.abs(slice_.height - cloud.points[slice_.rows] @ stack.frame[2]).max())
-        for stack in by_axis
-        for slice_ in stack.slices
-    )
-    sides: list[list[list[HalfSpaces]]] = []
-    for stack in by_axis:
-        along, found = stack.frame[2], list[list[HalfSpaces]]()
-        for i, slice_ in enumerate(stack.slices):
-            rows = np.intersect1d(slice_.rows, tangential_rows)
-            outward, points = cloud.in_plane_normals[rows], cloud.points[rows]
-            value = dot(outward, points)
-            slopes = _slopes(ends[rows], outward, along)
-            slopes = _narrowed(slopes, stack, i, outward @ stack.frame[:2].T, value, off)
-            finite: Mask = np.asarray(np.isfinite(slopes))
-            # past an end slice one slope is enough, since the cells on its other side reach beyond its plane
-            last = len(stack.slices) - 1
-            at_end = (finite[:, 0] & (i == 0) & (last > 0)) | (finite[:, 1] & (i == last) & (last > 0))
-            usable = finite.all(axis=1) | at_end
-            # a contact that lies off the plane of its slice has the other slope between the two
-            move = error + 2 * off * np.where(finite, np.abs(slopes), 0.0).sum(axis=1)
-            of_sides = []
-            for side in (0, 1):
-                planes = _inclined(outward, along, slopes[:, side], value, slice_.height, move)
-                kept = usable & finite[:, side]
-                of_sides.append(HalfSpaces(planes[kept], np.zeros(np.count_nonzero(kept), dtype=bool), points[kept]))
-            found.append(of_sides)
-        sides.append([list(column) for column in zip(*found, strict=True)])
-    return sides, off
-
-
-def _slopes(ends: Array, outward: Array, along: Array) -> Array:
-    """Least and largest slopes (n, 2) of planes whose normals are those at the ends (n, 2, 3) of their arcs.
-
-    Contacts whose arcs are not known are confined by the slices next to theirs only.
-    """
-    level, rise = np.einsum("nej,nj->ne", ends, outward), ends @ along
-    slopes = np.sort(np.where(level > NEGLIGIBLE, ratio(-rise, level), -np.copysign(np.inf, rise)), axis=1)
-    unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
-    return np.where(unknown[:, None], [-np.inf, np.inf], slopes)
-
-
-def _narrowed(slopes: Array, stack: SliceStack, i: int, normals: Array, value: Array, off: float) -> Array:
-    """Least and largest slopes (n, 2) of the contacts of slice i, confined by the slices next to it as well.
-
-    The arcs come from a search among the contacts, which may miss the one that confines a slope most.  The errors of places and
-    heights are at most `off`; normals (n, 2) and values (n,) are those of the contacts' support lines.
-    """
-    found = slopes.copy()
-    if i > 0:
-        below = secants(value, stack.heights[i], stack.slices[i - 1 : i], normals, off, off)
-        found[:, 1] = np.minimum(found[:, 1], below)
-    if i + 1 < len(stack.slices):
-        above = secants(value, stack.heights[i], stack.slices[i + 1 : i + 2], normals, off, off)
-        found[:, 0] = np.maximum(found[:, 0], above)
-    return np.where((found[:, 0] <= found[:, 1])[:, None], found, slopes)
-
-
-# Distance of the planes that close the polytope where no normals are known, in sizes of the body.
-_FAR = 300.0
-# Gap relative to the body's size at which the refinement ends.
-_CLOSE = 2e-5

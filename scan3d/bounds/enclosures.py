@@ -1,12 +1,12 @@
 """An inner and an outer body from touch alone, between which the surface of the true body lies.
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
-leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere a polytope
-(`scan3d.bounds.planes`).  Whatever is left is known by its corners: the distance to a convex set is a convex
-function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is
-therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where
-contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated
-confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
+leave slabs (`scan3d.bounds.slabs`), and those of contacts anywhere a polytope (`scan3d.bounds.planes`).  Whatever is left is
+known by its corners: the distance to a convex set is a convex function, and so it is largest over a polyhedron at one of its
+corners.  The largest distance of the corners from the hull is therefore an upper bound of the Hausdorff distance between the
+hull and the body, provided that the body is convex.  Where contacts are noisy, each slice's contour is first replaced by a
+polygon inside it and one around it, which hold with a stated confidence (`scan3d.bounds.noise`), and planes are moved outwards
+by what else is uncertain.
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
@@ -42,7 +42,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, highest, ratio, unit
-from scan3d.bounds.cells import Gap, Slab, has_cells, slabs, tighter_cells
 from scan3d.bounds.constraints import (
     CONFIDENCE,
     EXACT,
@@ -54,6 +53,7 @@ from scan3d.bounds.constraints import (
 )
 from scan3d.bounds.noise import confident
 from scan3d.bounds.planes import Planes, outer_body, planes_of_arcs, planes_of_touches, with_table
+from scan3d.bounds.slabs import Gap, Slab, slabs
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import NoBodyError
 from scan3d.geometry.arcs import Places
@@ -78,8 +78,6 @@ class SlabCorners(NamedTuple):
     """(w, 3) points of the inner body nearest to the corners; infinite where the outer body is unbounded."""
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
-    straight: Mask
-    """(w, 2) whether the body goes on straight, at the corner's half-spaces, below and above the slab."""
     number: Index
     """(w,) of the corner's slab: slab i lies below slice i of `stack`."""
     stack: SliceStack
@@ -201,9 +199,9 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
         probability with which the enclosure of noisy contacts holds.
 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
-    the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
-    tangents.  Contacts of the spatial model lie in no slices, and touches of other probes have planes.  A rod whose radius
-    changes along it bounds nothing.  Raises NoBodyError for contacts that do not span a body.
+    the body by the tangents of all of them as well, if that is tighter.  Contacts of the spatial model lie in no slices, and
+    touches of other probes have planes.  A rod whose radius changes along it bounds nothing.  Raises NoBodyError for contacts
+    that do not span a body.
     """
     if cloud.fattened is not None:
         bounds = _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
@@ -215,9 +213,8 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
         return bounding_nothing(bounds) if cloud.tapered else bounds
     bounds = slice_enclosure(cloud, margin, confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
-    bounds = _with_cells(bounds, cloud) if exact else bounds
-    # slabs bound curved bodies more tightly, but along any one of many axes they are wide
-    tighter = len(bounds.inner.faces) <= 500 or len(stacks(cloud)) > 3
+    # slabs along one axis bound curved bodies more tightly
+    tighter = len(bounds.inner.faces) <= 500 or len(stacks(cloud)) > 1
     return _with_tangents(bounds, cloud) if exact and tighter else bounds
 
 
@@ -239,25 +236,14 @@ def unbounded(cloud: Cloud) -> Enclosure:
     )
 
 
-def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
-    """The enclosure with that by the cells between the slices of all axes, if it is tighter by more than a few percent."""
-    if not has_cells(cloud):
-        return bounds
-    part = 0.95
-    found = tighter_cells(cloud, bounds.inner, bounds.corners[bounds.gap.argmax()], part * bounds.bound)
-    if found is None:
-        return bounds
-    return _tightened(bounds, found.corners, found.gap, exact_error(cloud), part)
-
-
-def _tightened(bounds: Enclosure, corners: Array, gap: Array, error: float, part: float = 1.0) -> Enclosure:
-    """The enclosure with that by another outer body, if its bound is below a part of what is known.
+def _tightened(bounds: Enclosure, corners: Array, gap: Array, error: float) -> Enclosure:
+    """The enclosure with that by another outer body, if its bound is smaller.
 
     corners, gap (w,)
         of the other body, and their distances from the same inner one, of exact contacts with errors of at most `error`.
     """
     bound = max(float(gap.max()) if len(gap) else np.inf, error)
-    if bound >= part * bounds.bound:
+    if bound >= bounds.bound:
         return bounds
     within = float(bounds.inner.volume + shell(bounds.inner, bound)) * (1 + ROUNDING)
     volume = bounds.volume[0], max(min(bounds.volume[1], within), bounds.volume[0])
@@ -439,7 +425,6 @@ def _tilt_error(stack: SliceStack, cloud: Cloud, widened: float) -> float:
 def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:
     """The enclosure by contacts that prove nothing, because their errors are too large."""
     nothing, nowhere = np.full(1, np.inf), np.full((1, 3), np.inf)
-    kind, straight = np.full(1, Gap.SLICES, dtype=np.int8), np.zeros((1, 2), dtype=bool)
     return Enclosure(
         inner=inner,
         corners=nowhere,
@@ -450,7 +435,7 @@ def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:
         confidence=confidence,
         excess=np.inf,
         reach=np.inf,
-        slabs=SlabCorners(nowhere, kind, straight, np.zeros(1, dtype=np.intp), stack),
+        slabs=SlabCorners(nowhere, np.full(1, Gap.SLICES, dtype=np.int8), np.zeros(1, dtype=np.intp), stack),
     )
 
 
@@ -467,7 +452,7 @@ def _of_stack(
     within = shrunk(inner, excess) if excess else inner
     least = 0.0 if within is None else within.volume * (1 - ROUNDING)
     number = np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts])
-    kind, straight = np.concatenate([part.kind for part in parts]), np.concatenate([part.straight for part in parts])
+    kind = np.concatenate([part.kind for part in parts])
     return Enclosure(
         inner=inner,
         corners=corners,
@@ -478,7 +463,7 @@ def _of_stack(
         confidence=confidence,
         excess=excess + margin,
         reach=margin,
-        slabs=SlabCorners(foot, kind, straight, number, stack),
+        slabs=SlabCorners(foot, kind, number, stack),
     )
 
 
@@ -486,16 +471,13 @@ def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]
     """Stack k with its floor and ceiling also bounded by the other stacks' outer bodies."""
     stack = by_axis[k]
     low, high = stack.floor, stack.ceiling
-    floor_bounded = ceiling_bounded = False
     for j, parts in enumerate(outer):
         corners = np.concatenate([slab.corners for slab in parts])
         if j != k and np.isfinite(corners).all():
             heights = corners @ stack.frame[2]
-            floor_bounded |= bool(heights.min() > low)
-            ceiling_bounded |= bool(heights.max() < high)
             low, high = max(low, float(heights.min())), min(high, float(heights.max()))
     low, high = min(low, stack.slices[0].height), max(high, stack.slices[-1].height)
-    return replace(stack, floor=low, ceiling=high, bounded_by_others=(floor_bounded, ceiling_bounded))
+    return replace(stack, floor=low, ceiling=high)
 
 
 def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> Enclosure:

@@ -52,9 +52,8 @@ class Plan:
         model of contact: ``planar``, the rod stays in its slice, or ``spatial``, a round rod bends where the contact pushes it.
     slices
         number of slices along each axis, besides one beyond either end of the body.  With adaptive spacing it is the largest:
-        there are fewer where further slices would not lower the bound, other empty slices count, and along several axes, up to
-        50 slices along each of two or 28 of three, their sum is shared out where the contacts so far leave most room.  In the
-        spatial model there are no slices, and 0.4 times as many sweeps from each of twelve directions.
+        there are fewer where further slices would not lower the bound, and other empty slices count.  In the spatial model
+        there are no slices, and 0.4 times as many sweeps from each of twelve directions.
     spacing
         heights of the slices: ``cosine`` (dense at the ends), ``uniform``, or ``adaptive`` (where the contacts so far leave
         most room for the body).

@@ -285,12 +285,10 @@ class SliceStack:
     """Height of the nearest empty slice below, or of the table that lies across the axis; -inf if there is neither."""
     ceiling: float
     """Height of the nearest empty slice above, or of the table; inf if there is neither."""
-    bounded_by_others: tuple[bool, bool] = (False, False)
-    """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
     height_error: float = 0.0
     """Largest error of a contact's height over the slice it counts to."""
     confident: bool = False
-    """Whether the slices' points and support lines allow for noise (`scan3d.surfaces.confidence`)."""
+    """Whether the slices' points and support lines allow for noise (`scan3d.bounds.noise`)."""
     table: Array | None = None
     """(4,) the half-space ``a·x + b <= 0`` above a table that does not lie across the axis, in the slices' frame."""
 

@@ -27,7 +27,6 @@ from scan3d.planning.heights import (
     SlabMemory,
     first_heights,
     next_heights,
-    next_slices,
     open_contours,
 )
 from scan3d.planning.plan import (
@@ -141,10 +140,8 @@ def simulate_judged(mesh: Any, plan: Plan) -> Recording:
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
-    # more slices along each axis are planned for one axis after the other
-    few = len(scans) > 1 and (not plan.tolerance or plan.slices <= 28)
-    if plan.spacing == "adaptive" and not plan.noise and (few or plan.is_free):
-        _scan_together(scans, rod)
+    if plan.is_free and not plan.noise:
+        _scan_in_any_planes(scans, rod)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
 
@@ -160,7 +157,8 @@ def simulate_judged(mesh: Any, plan: Plan) -> Recording:
             _check_sweeps(scan, plan.samples)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
-            _adapt(scan, rod, report)
+            # only exact contacts along different axes agree well enough for one to tell of another
+            _adapt(scan, rod, report, [] if plan.noise else scans[:k])
         if not convex and plan.sweeps is None and not along:
             _aim(scan, rod)
     swept = recording_of(scans, rod)
@@ -278,37 +276,26 @@ def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
     return swept_again
 
 
-def _scan_together(scans: list[AxisScan], rod: Rod) -> None:
-    """Scan along several axes, of which the contacts along all choose the next heights, and the axis, or in any planes.
-
-    Only exact contacts along different axes agree well enough for this.
-    """
-    plan, next_ones = scans[0].plan, next_slices
-    count, most = plan.slices * len(scans), (plan.slices + BEYOND) * len(scans)
+def _scan_in_any_planes(scans: list[AxisScan], rod: Rod) -> None:
+    """Scan along one axis, and then in planes to which scans are added, as the contacts so far choose them."""
+    first, plan, aims = scans[0], scans[0].plan, Aims()
 
     def report(*_: int) -> None:
-        tell("slices", min(sum(len(scan.heights) for scan in scans), count), count)
+        tell("slices", min(sum(len(scan.heights) for scan in scans), plan.slices), plan.slices)
 
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
         _check_sweeps(scan, plan.samples)
         report()
 
-    if plan.is_free:
-        next_ones = Aims().next_slices
-        scanned(scans[0], first_heights(*scans[0].extent, plan))
-        _adapt(scans[0], rod, report, until=round(FIRST_PART * min(plan.slices, FEW)))
-    else:
-        for scan in scans:
-            scanned(scan, first_heights(*scan.extent, plan, together=True))
-    while (left := most - sum(len(scan.heights) for scan in scans)) > 0:
+    scanned(first, first_heights(*first.extent, plan))
+    _adapt(first, rod, report, until=round(FIRST_PART * min(plan.slices, FEW)))
+    while (left := plan.slices + BEYOND - sum(len(scan.heights) for scan in scans)) > 0:
         try:
-            further, alone = next_ones(contacts(recording_of(scans, rod)), plan, left)
+            further, alone = aims.next_slices(contacts(recording_of(scans, rod)), plan, left)
         except InputError:  # too few contacts to say where others are needed
-            share = -(-left // len(scans))
-            apart = [np.setdiff1d(_cosine_heights(scan), scan.heights)[:share] for scan in scans]
-            further = [(scan.frame[2], heights) for scan, heights in zip(scans, apart, strict=True) if len(heights)]
-            alone = None
+            heights = np.setdiff1d(_cosine_heights(first), first.heights)
+            further, alone = [(first.frame[2], heights)] if len(heights) else [], None
         if alone is not None:
             scan = _along(scans, alone)
             scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND, axis=tuple(scan.frame[2]))

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import SOME, Array, evenly, ratio
-from scan3d.bounds.cells import has_cells
 from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
@@ -24,7 +23,7 @@ from scan3d.geometry.triangles import collapsed, distance_of_readers, representa
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.surfaces.any_shape import shape_of_touches, with_estimated_normals
-from scan3d.surfaces.estimates import FRACTIONS, UNKNOWN, Room, between, curved, regression, room, with_edges
+from scan3d.surfaces.estimates import UNKNOWN, Room, between, curved, regression, room, with_edges
 from scan3d.units import length
 
 Estimates = dict[str, Callable[[], Any]]
@@ -139,16 +138,14 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return f"held-out {sweeps} lie within {length(error.largest, cloud.unit, digits=2)}"
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
-    # a part of the slices may have cells where all are too many
-    by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
     has_edges = cloud.fit is None
-    of_whole = cache(partial(_estimates, cloud, bounds, by_cells, has_edges))
+    of_whole = cache(partial(_estimates, cloud, bounds, has_edges))
     if has_edges and (whole := of_whole()[1]) is not None and whole.facets:
         # held-out slices would say less of them: facets that one of the others has met alone are unknown then
         return _labelled(
             between(whole, UNKNOWN), "bracket", f"a polyhedron of {whole.facets} facets, on which the contacts lie"
         )
-    of_kept, _ = _estimates(kept, None, by_cells, has_edges)
+    of_kept, _ = _estimates(kept, None, has_edges)
     bent = next(iter(of_kept))
     errors = {bent: error_of_surface(of_kept.pop(bent)(), held_out)}
     if fit is not None and not cloud.noisy and fit.judged <= errors[bent].judged:
@@ -166,17 +163,13 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return _fitted(cloud, lie_within(fit))
     if regressed is not None and regressed.judged == least:
         return _regression(cloud, bounds, lie_within(regressed))
-    if best not in of_whole()[0]:  # the slices that were kept have no contours between them, or all slices have none
-        return _without_cross_validation(cloud, bounds)
     mesh = of_whole()[0][best]()
     if not cloud.in_slices:
         mesh = _inside(bounds, mesh)
     return _labelled(mesh, "bracket", f"{best}: {lie_within(errors[best])}")
 
 
-def _estimates(
-    cloud: Cloud, bounds: Enclosure | None, by_cells: bool, has_edges: bool
-) -> tuple[Estimates, Room | None]:
+def _estimates(cloud: Cloud, bounds: Enclosure | None, has_edges: bool) -> tuple[Estimates, Room | None]:
     """The estimates from a cloud, each of which is computed when it is called, and the room between slices."""
     if not cloud.in_slices:
         return {
@@ -184,18 +177,12 @@ def _estimates(
             "convex hull of the contacts": partial(hull, cloud.points),
             "a polyhedron's, with sharp edges": partial(with_edges, cloud),
         }, None
-    found = room(cloud, bounds, by_cells=by_cells, has_edges=has_edges)
-    if not len(found.contours):
-        return {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}, found
+    found = room(cloud, bounds, has_edges=has_edges)
     by_slopes = "as far from the contacts' hull as the slopes of neighbouring slices tell"
     return {
         by_slopes: partial(between, found, found.local),
         f"{by_slopes}, and half way from there to the middle": partial(between, found, (found.local + UNKNOWN) / 2),
     }, found
-
-
-def _part_of_the_way(fraction: float) -> str:
-    return f"{100 * fraction:g} % of the way from the contacts' hull to the corners of the outer body"
 
 
 def _without_cross_validation(cloud: Cloud, bounds: Enclosure) -> Any:
@@ -204,7 +191,8 @@ def _without_cross_validation(cloud: Cloud, bounds: Enclosure) -> Any:
         return _labelled(
             hull(cloud.points), "bracket", "convex hull of the contacts; too few sweeps for cross-validation"
         )
-    reason = f"{_part_of_the_way(UNKNOWN)}; too few slices for cross-validation"
+    part = f"{100 * UNKNOWN:g} % of the way from the contacts' hull to the corners of the outer body"
+    reason = f"{part}; too few slices for cross-validation"
     return _labelled(between(room(cloud, bounds), UNKNOWN), "bracket", reason)
 
 

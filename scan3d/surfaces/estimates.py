@@ -21,8 +21,8 @@ distributed over the slab:
   towards the slab, the arc has begun before the slice.
 
 Three slices on either side may mislead, so that the middle between this fraction and one half, at which the error is at most
-half the gap, is tried as well: which predicts held-out slices better is found by cross-validation.  In the cells between slices
-along several axes the same fraction is tried everywhere.  Past the end slices nothing tells where the body ends: one half.
+half the gap, is tried as well: which predicts held-out slices better is found by cross-validation.  Past the end slices nothing
+tells where the body ends: one half.
 
 Of contacts anywhere, with normals: between neighbouring contacts i and j of a curved surface the middle of the chord lies
 ``<n_j - n_i, p_j - p_i> / 8`` below the surface, to the third order of the chord's length.  A surface with edges is estimated
@@ -54,7 +54,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mask, across, highest, ratio, unit
-from scan3d.bounds.cells import cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
@@ -67,9 +66,6 @@ from scan3d.reconstruction.slices import SliceStack, stacks
 
 EVEN = 0.25
 """The fraction at which an evenly bent body passes the corners between evenly spaced slices, as a parabola does."""
-FRACTIONS = (EVEN, 0.0, 0.5, 1.0)
-"""Fractions of the way from the hull of the contacts to the corners of cells that are tried: 0 is the hull alone, and a
-polyhedron passes at 1."""
 UNKNOWN = 0.5
 """The fraction where nothing tells how far the body reaches: the error is at most half the gap."""
 
@@ -93,23 +89,14 @@ class Room(NamedTuple):
     """Number of known facets if the body is a polyhedron by the contacts, nearly all of which lie on them; else 0."""
 
 
-def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False, has_edges: bool = True) -> Room:
+def room(cloud: Cloud, bounds: Enclosure | None = None, *, has_edges: bool = True) -> Room:
     """The room that contacts in slices leave, taken as they are: noise may let the body reach farther.
 
     bounds
         the enclosure of the cloud, if it has been computed already.
-    by_cells
-        whether the corners are those of the cells between the slices of several axes (`has_cells`) instead of those of the
-        slabs along one.
     has_edges
         whether the body may have facets: a smooth one has those of its mesh alone.
     """
-    if by_cells:
-        cells = cells_of_cloud(cloud, hull(cloud.points))
-        open_ = np.isfinite(cells.gap) & (cells.gap > 0)
-        foot = cells.foot[open_]
-        half_way, free = np.full((2, len(foot)), [[UNKNOWN], [np.nan]])
-        return Room(cloud.points, foot, cells.corners[open_] - foot, half_way, free, np.empty((0, 3)))
     if bounds is None or bounds.margin or bounds.confidence < 1:
         bounds = slice_enclosure(cloud, margin=0.0)
     slabs = bounds.slabs
