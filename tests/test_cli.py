@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import typing
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,7 +23,7 @@ import trimesh
 from small_scans import CUBE, EGG, MESHES, RESULTS, SETTINGS, undrawn
 
 import scan3d
-from scan3d import results
+from scan3d import choices, results, units
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.files.shapes import read_ply
@@ -311,6 +312,15 @@ def test_a_file_may_use_the_types_of_toml(tmp_path):
     assert np.allclose(plan.axis, [1, 1, 0])
     path.write_text("friction = 0.25\n")
     assert settings({}, path).plan().friction == 0.25
+
+
+def test_the_types_of_choices_are_those_of_the_lists():
+    assert typing.get_args(units.Unit) == tuple(units.UNITS_M)
+    lists = {name: values for name, values in vars(choices).items() if name.isupper()}
+    parts = {"NOT_CONVEX": choices.METHODS, "CHARTS": choices.VIEWS, "WITH_OTHER": choices.VIEWS}
+    assert all(set(lists.pop(name)) < set(whole) for name, whole in parts.items())
+    types = {name: typing.get_args(kind) for name, kind in vars(choices).items() if typing.get_origin(kind)}
+    assert sorted(lists.values()) == sorted(types.values())
 
 
 def test_signatures_in_python_show_every_setting():

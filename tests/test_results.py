@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,9 +99,26 @@ def test_numbers_of_numpy_are_settings():
 
 
 def test_a_mesh_in_memory_is_scanned_as_its_file():
-    from_file, in_memory = scan3d.scan(CUBE, **SETTINGS), scan3d.scan(scan3d.load_mesh(CUBE), **SETTINGS)
+    mesh = scan3d.load_mesh(CUBE)
+    from_file, in_memory = scan3d.scan(CUBE, **SETTINGS), scan3d.scan(mesh, **SETTINGS)
     without_times = [{**result.report, "timings_s": None} for result in (from_file, in_memory)]
     np.testing.assert_equal(*without_times)
+    # the mesh and the recording are as they were before the analysis
+    np.testing.assert_array_equal(mesh.vertices, scan3d.load_mesh(CUBE).vertices)
+    recordings = in_memory.recording, scan3d.simulate(mesh, scan3d.Plan(**SETTINGS))
+    np.testing.assert_equal(*(vars(dataclasses.replace(recording, source={})) for recording in recordings))
+
+
+def test_the_steps_take_paths_and_keep_the_unit(tmp_path):
+    mesh, plan = scan3d.load_mesh(CUBE, unit="in"), scan3d.Plan(**SETTINGS, unit="in")
+    recording = scan3d.simulate(mesh, plan)
+    scan3d.write_recording(recording, tmp_path / "log.csv")
+    cloud = scan3d.reconstruct(recording)
+    assert scan3d.surface(cloud, "hull").units == "in"
+    for kind in (Path, str):
+        assert np.array_equal(scan3d.simulate(kind(CUBE), plan).force_N, recording.force_N)
+        assert np.array_equal(scan3d.reconstruct(kind(tmp_path / "log.csv")).points, cloud.points)
+        assert scan3d.compare(kind(CUBE), mesh).hausdorff == scan3d.compare(mesh, kind(CUBE)).hausdorff == 0
 
 
 def test_a_mesh_that_was_changed_is_no_longer_that_of_its_file():

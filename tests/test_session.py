@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import in_world
 from scipy.spatial.transform import Rotation
 from small_scans import EGG
 
@@ -178,24 +179,14 @@ def test_further_poses_follow_the_frames_of_the_recording_above_the_floor(egg, a
     assert distances(session.cloud.points, egg).max() < 1e-6
 
 
-def moved_by(recording, turn, shift):
-    turned = Rotation.from_rotvec(turn)
-    whole = turned * Rotation.from_quat(recording.quaternion, scalar_first=True)
-    return replace(
-        recording,
-        position_m=turned.apply(recording.position_m) + shift,
-        quaternion=whole.as_quat(canonical=True, scalar_first=True),
-    )
-
-
 def test_further_poses_in_a_log_that_is_turned_and_shifted(egg):
     """They keep away from what is known; where the bounding body or the table is elsewhere, there is a sentence."""
     recording = scan3d.simulate(egg, scan3d.Plan(slices=5, samples=24, rod=ROD))
     session = Session("cylinder:80x70", rod=recording.rod, samples=24)
-    session.tell(moved_by(recording, (0.12, -0.1, 0.7), (0.004, -0.003, 0.008)))
+    session.tell(in_world(recording, Rotation.from_rotvec((0.12, -0.1, 0.7)), (0.004, -0.003, 0.008)))
     check_clear(session.ask(12), session)
     elsewhere = Session("cylinder:60x60", rod=recording.rod)
-    elsewhere.tell(moved_by(recording, (0, 0, 0.3), (0.04, 0.0, 0.0)))
+    elsewhere.tell(in_world(recording, Rotation.from_rotvec((0, 0, 0.3)), (0.04, 0.0, 0.0)))
     with pytest.raises(InputError, match=r"contacts lie up to .* outside of the bounding body cylinder:60x60"):
         elsewhere.ask()
 
