@@ -146,6 +146,7 @@ def test_topics_that_are_not_there(tmp_path, recording):
         ("tf.bag", {"tf": ["flange", "clamp"]}, r"nothing moves between 'flange' and 'clamp' in tf"),
         ("several", {"tf": world}, r"several: tf has 'clamp' in several frames, flange, camera, where one is"),
         ("cut.bag", {}, r"can't read the bag .*cut\.bag"),
+        ("none.bag", {}, r"can't read the bag .*none\.bag: No such file"),
     ):
         with pytest.raises(InputError, match=sentence):
             scan3d.import_table(tmp_path / name, made(recording, ros))

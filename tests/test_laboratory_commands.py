@@ -1,7 +1,9 @@
 """`scan3d import`: files, first maps, the page; and Parquet."""
 
 import json
+import os
 import shutil
+import signal
 import sys
 import tomllib
 
@@ -244,3 +246,26 @@ def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
     ):
         with pytest.raises(InputError, match=r"Parquet files need pyarrow: pip install 'scan3d\[parquet\]'"):
             call()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "import raw.csv --guess",
+        "import raw.bag --guess",
+        "import raw.bag --map {map} --out r.csv",
+        "import raw.mat --guess",
+        "reconstruct raw.csv --out r",
+    ],
+)
+def test_pipes_are_refused(tmp_path, words, capsys):
+    (tmp_path / "map.toml").write_text("[rod]\nlength_m = 0.1\nbending_stiffness_Nm2 = 1e-4\n[ros]\npose = '/a'\n")
+    for name in ("raw.csv", "raw.bag", "raw.mat"):
+        os.mkfifo(tmp_path / name)
+    command, raw, *rest = words.format(map=tmp_path / "map.toml").split()
+    signal.alarm(20)  # ends the tests, instead of waiting without end
+    try:
+        assert main([command, str(tmp_path / raw), *rest]) == 1
+    finally:
+        signal.alarm(0)
+    assert f"{raw} is a device or a pipe, where a file is expected" in capsys.readouterr().err

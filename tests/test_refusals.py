@@ -179,7 +179,9 @@ OF_SCAN3D = [
     (lambda row: scan3d.reconstruct(across(row)), [
         ({"row": 4}, "turned by more than 45° against the rest of its sweep in 1 of 48 rows, first in row 5"),
     ]),
-    (lambda mesh: scan3d.simulate(mesh, scan3d.Plan(slices=4, samples=20)), [
+    (lambda mesh=CUBE, **plan: scan3d.simulate(mesh, scan3d.Plan(**{**dict(slices=4, samples=20), **plan})), [
+        # before memory is taken for it
+        *((plan, "needs about .* GB, and") for plan in ({"slices": 10**9}, {"samples": 10**12}, {"sweeps": HUGE})),
         ({"mesh": "none.stl"}, r"there is no mesh file none\.stl"),
         ({"mesh": 3}, r"the body must be a trimesh\.Trimesh, got int"),
         ({"mesh": trimesh.Scene(box())}, r"got Scene; a scene becomes a mesh by its method to_mesh\(\)"),

@@ -294,3 +294,23 @@ def test_sweeps_without_contact_are_recorded():
 def test_the_fewest_samples_and_the_least_noise_give_a_result(few):
     """No slice is enclosed by its known normals, and variances are 0."""
     assert scan3d.scan(CUBE, slices=4, **few).surface.is_watertight
+
+
+@pytest.mark.trust
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the largest memory is read from Linux' /proc")
+def test_a_scan_takes_no_more_memory_than_was_stated_before():
+    # the largest memory of a process of its own, with 300,000 samples, of which arrays take more than the program; `resource`
+    # would state that of the process from which it was forked, if that is larger
+    script = f"""
+from pathlib import Path
+from unittest.mock import patch
+import scan3d
+stated = []
+with patch("scan3d.simulation.scan.check_memory", lambda needed, *_: stated.append(needed)):
+    scan3d.scan({str(EGG)!r}, slices=16, samples=2800)
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(stated[0], 1024 * int(status["VmHWM"].split()[0]))
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    stated, taken = (float(word) for word in run.stdout.split())
+    assert 3e8 < taken < stated
