@@ -348,19 +348,3 @@ def test_events_are_where_sweeps_change(rod, direction):
         kinds = [planar.EventKind.TO_TIP, planar.EventKind.TO_TANGENTIAL]
         assert len(last) >= np.isin(found.kind, kinds).sum()
         np.testing.assert_allclose(found.m0z[0, 1], 0.0, atol=1e-9)
-
-
-def test_what_is_no_rod_is_refused():
-    contour = planar.Circle(0.3, (0.0, 0.7))
-    swept = planar.sweep(contour, 0.2, samples=5)
-    for call in (
-        lambda: planar.sweep(contour, rod="steel"),
-        lambda: planar.sweep(contour, rod=0.3, direction=1),
-        lambda: planar.events(contour, rod=0.3),
-        lambda: planar.reconstruct(*swept.reactions, rod="steel"),
-        lambda: planar.free_reactions(3),
-    ):
-        with pytest.raises(
-            TypeError, match=r"rod must be a planar\.Rod, or None for the straight and uniform one, got"
-        ):
-            call()

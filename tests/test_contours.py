@@ -110,11 +110,3 @@ def test_polygons_from_3_to_100_000_vertices(count):
     assert time.perf_counter() - started < 15
     assert (swept.phase != planar.Phase.NONE).all()
     assert polygon.distance(swept.point).max() < 1e-12
-
-
-@pytest.mark.parametrize(
-    "given", [((0.5, 0.3), 0.2), (0.5, (0, 1)), ((0, 1), (0.2, 0.1)), ((0.5, 0.3), (0, 1), (1, 2))]
-)
-def test_an_ellipse_says_what_it_needs(given):
-    with pytest.raises(ValueError, match="an ellipse needs two positive semi-axes, a center and an angle"):
-        planar.Ellipse(*given)

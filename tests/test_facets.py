@@ -8,7 +8,6 @@ from shapes import ball
 
 import scan3d
 from scan3d.cloud import NormalSource
-from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
@@ -165,10 +164,4 @@ def test_planes_of_bodies_without_facets_lie_along_the_axis():
         cloud = contacts(scan3d.simulate(body, plan))
         assert (cloud.slice_axis == [0.0, 0.0, 1.0]).all()
         assert len(cloud.slice_height) == 14
-
-
-def test_free_planes_are_chosen_by_adaptive_spacing():
-    for setting in (dict(axis="free"), dict(tolerance=1e-3)):
-        with pytest.raises(InputError, match="needs adaptive spacing, got spacing 'uniform'"):
-            scan3d.simulate(trimesh.creation.box(), scan3d.Plan(spacing="uniform", **setting))
     assert not scan3d.Plan(axis=np.array([0, 0, 1.0])).is_free

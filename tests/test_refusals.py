@@ -26,7 +26,7 @@ from scan3d.surfaces.open3d_methods import ball_pivoting, poisson
 from tests import rigs
 
 HUGE, NAN = 10**400, math.nan
-WIRE = Rod.wire(0.04, 0.25e-3, 210e9)
+changed = partial(dataclasses.replace, Rod.wire(0.04, 0.25e-3, 210e9))
 BEAD = partial(Rod, 0.05, 1e-4)
 TWO = ("stiffness_relative", "clamp_x_m")
 POINTS = np.eye(4)[:, :3]
@@ -108,7 +108,7 @@ OF_SCAN3D = [
         ({"bead_diameter_m": 1e-3, "weight_N": 1e-3}, "straight and without weight"),
         ({"bead_diameter_m": 1e-3, "curvature_per_m": 1.0}, "straight and without weight"),
     ]),
-    (partial(dataclasses.replace, WIRE), [
+    (changed, [
         ({"tip_diameter_m": -1.0}, "tip_diameter_m in metres above 0"),
         ({"diameter_m": 0.0, "tip_diameter_m": 1e-4}, "needs the diameter_m at its clamp"),
         ({"diameter_m": ((0, 1e-4), (0.04, 1e-4)), "tip_diameter_m": 1e-4}, "has one of tip_diameter_m"),
@@ -182,6 +182,11 @@ OF_SCAN3D = [
     (lambda mesh=CUBE, **plan: scan3d.simulate(mesh, scan3d.Plan(**{**dict(slices=4, samples=20), **plan})), [
         # before memory is taken for it
         *((plan, "needs about .* GB, and") for plan in ({"slices": 10**9}, {"samples": 10**12}, {"sweeps": HUGE})),
+        ({"model": "spatial", "rod": changed(tip_diameter_m=1e-4)}, "with the planar model"),
+        ({"rod": changed(curvature_per_m=(0.0, 1.0, 0.0))}, "out of its clamp's xy plane"),
+        ({"rod": changed(weight_N=1e-3), "gravity": Gravity((0, -1, 0.1), True)}, "in that"),
+        *(({"spacing": "uniform", **plan}, "needs adaptive spacing, got spacing 'uniform'")
+          for plan in ({"axis": "free"}, {"tolerance": 1e-3})),
         ({"mesh": "none.stl"}, r"there is no mesh file none\.stl"),
         ({"mesh": 3}, r"the body must be a trimesh\.Trimesh, got int"),
         ({"mesh": trimesh.Scene(box())}, r"got Scene; a scene becomes a mesh by its method to_mesh\(\)"),
@@ -199,6 +204,7 @@ OF_SCAN3D = [
         (mesh([(3, 2, 1)] * 3), r"the mesh should .*all its 3 vertices are at \[3"),
     ]),
     (lambda call: call(), [
+        ({"call": lambda: scan3d.scan(CUBE, rod={"length_m": 0.04, "tip_diamter_m": 1e-4})}, "unknown names: tip_diamter_m"),
         ({"call": lambda: scan3d.calibrate("none.csv", 0.03)}, r"can't read the recording none\.csv"),
         ({"call": lambda: scan3d.surface("log.csv")}, r"a surface is made from a scan3d\.Cloud, got str; reconstruct"),
         ({"call": lambda: scan3d.Session("sphere:50").tell("log.csv")}, r"got str; scan3d\.read_recording reads a file"),
@@ -299,7 +305,8 @@ OF_PLANAR = [
         ({"x": [0, 1, 1, 0], "y": [0.5, 1.2, 0.5, 1]}, "must not cross"),
     ]),
     (planar.Circle, [({"radius": radius, "center": (0, 1)}, "positive radius") for radius in (0.0, (0, 1), "0.9")]),
-    (planar.Ellipse, [({"semi_axes": (1, 1), "center": (0, 1), "angle": "x"}, "all finite, got .*angle=x")]),
+    each(lambda bad: planar.Ellipse(*bad), "bad", "an ellipse needs two positive semi-axes, a center and an angle, all finite",
+         ((0.5, 0.3), 0.2), (0.5, (0, 1)), ((0, 1), (0.2, 0.1)), ((0.5, 0.3), (0, 1), (1, 2)), ((1, 1), (0, 1), "x")),
     (partial(planar.events, CIRCLE), [({"friction": value}, "friction must be one number >= 0") for value in ("x", None)]),
     *(each(at_height, "lowest", words, *heights) for words, heights in HEIGHTS.items()),
     (lambda call: call(), [
@@ -316,9 +323,13 @@ OF_PLANAR = [
         ({"call": lambda: planar.events(CIRCLE, rod=planar.Rod(curvature=0.1))}, "straight at rest and weightless"),
     ]),
 ]  # fmt: skip
+NO_PLANAR_ROD = [each(lambda call: call(), "call", r"rod must be a planar\.Rod, or None for the straight and uniform one, got",
+    lambda: planar.sweep(CIRCLE, rod="steel"), lambda: planar.sweep(CIRCLE, rod=0.3, direction=1),
+    lambda: planar.events(CIRCLE, rod=0.3), lambda: planar.reconstruct(*SWEEP.reactions, rod="steel"),
+    lambda: planar.free_reactions(3))]  # fmt: skip
 CASES = [
     pytest.param(kind, make, given, words, id=f"{words[:30]} {k}")
-    for kind, groups in ((InputError, OF_SCAN3D), (ValueError, OF_PLANAR))
+    for kind, groups in ((InputError, OF_SCAN3D), (ValueError, OF_PLANAR), (TypeError, NO_PLANAR_ROD))
     for make, cases in groups
     for k, (given, words) in enumerate(cases)
 ]
@@ -408,23 +419,3 @@ def test_files_that_can_not_be_used(tmp_path, read, files, words):
     with pytest.raises(InputError, match=words) as error:
         read(tmp_path / next(iter(files)))
     assert "\n" not in str(error.value)
-
-
-def test_scans_that_need_what_is_not_there():
-    """Rods that a model cannot take, and points that span no body."""
-    for plan, words in (
-        (
-            scan3d.Plan(slices=4, model="spatial", rod=dataclasses.replace(WIRE, tip_diameter_m=1e-4)),
-            "with the planar model",
-        ),
-        (
-            scan3d.Plan(slices=4, rod=dataclasses.replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))),
-            "out of its clamp's xy plane",
-        ),
-        (
-            scan3d.Plan(slices=1, rod=dataclasses.replace(WIRE, weight_N=1e-3), gravity=Gravity((0, -1, 0.1), True)),
-            "in that",
-        ),
-    ):
-        with pytest.raises(InputError, match=words):
-            scan3d.simulate(CUBE, plan)

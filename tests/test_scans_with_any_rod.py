@@ -46,11 +46,6 @@ def test_scans_take_any_rod_as_an_object_a_table_and_text(rod, tmp_path):
         assert settings({"rod": chosen.rod}) == chosen
 
 
-def test_unknown_names_of_a_rod_are_refused():
-    with pytest.raises(InputError, match="unknown names: tip_diamter_m"):
-        scan3d.scan(MESH, rod={"length_m": 0.04, "bending_stiffness_Nm2": 1e-4, "tip_diamter_m": 1e-4})
-
-
 def test_descriptions_of_one_rod_agree():
     cone = CONE.in_plane()
     by_diameters = Rod(0.04, CONE.bending_stiffness_Nm2, ((0.0, 0.25e-3), (0.04, 0.1e-3))).in_plane()
