@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import planar
-from planar import EventKind, Phase, Status
+from planar import EventKind
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 
@@ -62,32 +62,3 @@ def test_events(friction):
 def test_largest_moment(friction):
     swept = planar.sweep(CIRCLE, friction, samples=2000)
     assert abs(swept.m0z.max() - TABLE[friction].largest_m0z) <= half_a_unit(3)
-
-
-@pytest.mark.parametrize("friction", TABLE)
-def test_sweep_changes_its_phase_at_the_transitions_of_the_table(friction):
-    to_tangential, to_tip = TABLE[friction].to_tangential_x0, TABLE[friction].to_tip_x0
-    base = np.array([to_tangential + 1e-6, to_tangential - 1e-6, to_tip + 1e-6, to_tip - 1e-6])
-    swept = planar.sweep(CIRCLE, friction, base=base)
-    assert swept.phase.tolist() == [Phase.TIP, Phase.TANGENTIAL, Phase.TANGENTIAL, Phase.TIP]
-
-
-def will(friction):
-    swept = planar.sweep(CIRCLE, friction, samples=4000)
-    return swept, planar.reconstruct(*swept.reactions, "will")
-
-
-def test_equation_10_mistakes_tip_contacts_for_tangential_ones_only_at_the_end():
-    swept, contacts = will(0.0)
-    mistaken = (swept.phase == Phase.TIP) & (contacts.s1 < 1 - 1e-9)
-    step = swept.x0[0] - swept.x0[1]
-    assert abs(swept.x0[mistaken].max() - -1.1587) <= half_a_unit(4) + step
-    assert mistaken[swept.x0 < -1.1587 - step].all()
-
-
-def test_equation_10_is_undefined_at_the_start_from_friction_0_4_on():
-    for friction in TABLE:
-        _, contacts = will(friction)
-        undefined = contacts.status == Status.UNDEFINED
-        assert undefined[1] == (friction >= 0.4)
-        assert not undefined[len(undefined) // 2 :].any()

@@ -277,6 +277,7 @@ OF_PLANAR = [
         ({"method": "newton"}, "closed-form, scholz-rahn, will, got 'newton'"),
         ({"method": "will", "rod": CONE}, "'will' is for straight"),
         ({"tolerance": 1.0}, "tolerance must lie between 0 and 1, got 1.0"),
+        ({"tolerance": np.full(2, 0.1)}, "tolerance.*array of the shape"),
         ({"tolerance": NAN}, "tolerance must lie between 0 and 1, got nan"),
         *(({"friction": value}, f"friction must be one number >= 0 .*, got '?{value}") for value in (np.inf, "a")),
         ({"friction": [0.1, 0.2]}, "friction must be one number >= 0 or one for each"),

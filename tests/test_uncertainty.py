@@ -56,16 +56,3 @@ def test_reactions_without_a_rod_have_no_derivatives():
     jacobian = planar.jacobian(*np.transpose([no_force, wrong_side, too_large, reactions(0.2)[:, 5]]))
     assert np.isnan(jacobian[:3]).all()
     assert np.isfinite(jacobian[3]).all()
-
-
-def test_each_row_can_have_its_own_tolerance():
-    f0x, f0y, m0z = reactions(0.2)
-    s1 = quantities(f0x, f0y, m0z)[:, 2]
-    tangential = np.flatnonzero(s1 < 0.99)
-    tolerance = np.full(len(s1), 1e-9)
-    tolerance[tangential[0]] = 1 - s1[tangential[0]] + 1e-6
-    phase = planar.reconstruct(np.zeros(len(s1)), f0x, f0y, m0z, tolerance=tolerance).phase
-    assert phase[tangential[0]] == planar.Phase.TIP
-    assert (phase[tangential[1:]] == planar.Phase.TANGENTIAL).all()
-    with pytest.raises(ValueError, match=r"tolerance.*array of the shape"):
-        planar.reconstruct(np.zeros(len(s1)), f0x, f0y, m0z, tolerance=tolerance[:3])
