@@ -60,17 +60,8 @@ def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     assert enclosure(dataclasses.replace(open_below, fattened=with_empty)).bound == bounds.bound
 
 
-def test_the_table_below_slices_whose_normals_point_down():
-    mesh = body(1)
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=8, samples=20, axis=(0.0, 0.0, -1.0)))
-    filled = dataclasses.replace(recording, table_m=-0.001)
-    bounds = enclosure(scan3d.reconstruct(filled))
-    assert false_bounds(mesh, bounds) == []
-    assert bounds.corners[:, 2].min() > -1 - 1e-9
-
-
-@pytest.mark.parametrize("axis", ["x", (1.0, 0.0, 1.0)])
-def test_the_table_cuts_slices_along_other_axes(axis):
+@pytest.mark.parametrize("axis", [(0.0, 0.0, -1.0), "x", (1.0, 0.0, 1.0)])
+def test_the_table_cuts_slices_along_any_axis(axis):
     mesh = body(2)
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=20, axis=axis))
     cloud = scan3d.reconstruct(recording)
