@@ -79,7 +79,7 @@ def integrated(rod, force, start, ends):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rod", RODS)
-def test_an_integration_from_the_clamp_ends_without_moment(rod):
+def test_an_integration_from_the_clamp_touches_the_body_and_ends_without_moment(rod):
     # with the contact force up to the contact and without it behind
     swept = planar.sweep(CIRCLE, 0.3, samples=40, rod=rod)
     contacts = planar.reconstruct(*swept.reactions, rod=rod)
@@ -89,12 +89,20 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
         np.testing.assert_allclose(mirrored * [-1, 1], line, atol=1e-9)
     rows = np.flatnonzero(contacts.status == Status.OK)[1::6]
     assert len(rows) >= 5
+    assert (swept.phase[rows] == Phase.TANGENTIAL).sum() >= 3
     for i in rows:
         f, alpha = contacts.force[i], contacts.force_angle[i]
         force = f * np.array([np.sin(alpha), -np.cos(alpha)])
         start = [np.pi / 2 - rod.compliance * swept.m0z[i], -swept.m0z[i], swept.x0[i], 0.0]
         contact = integrated(rod, force, start, (0.0, contacts.s1[i]))
         np.testing.assert_allclose(contact[2:], contacts.point[i], atol=2e-10)
+        assert CIRCLE.distance(contact[2:]) < 1e-9
+        if swept.phase[i] == Phase.TANGENTIAL:
+            # along the body, with the friction that was set
+            slope = swept.slope[i]
+            found = [contacts.s1[i], contact[0], alpha]
+            np.testing.assert_allclose(found, [swept.s1[i], slope, slope + np.arctan(0.3)], atol=1e-8)
+            np.testing.assert_allclose(contact[2:], CIRCLE.points(slope), atol=1e-9)
         halfway = integrated(rod, force, start, (0.0, contacts.s1[i] / 2))
         np.testing.assert_allclose(lines.curved[i], [start[2:], halfway[2:], contact[2:]], atol=1e-9)
         tip = integrated(rod, np.zeros(2), contact, (contacts.s1[i], 1.0)) if contacts.s1[i] < 1 else contact
@@ -116,53 +124,6 @@ def test_rods_that_curve_far_away_from_the_body_are_found(radius, friction, curv
     np.testing.assert_allclose(
         contacts.point[contacts.status == Status.OK], swept.point[contacts.status == Status.OK], atol=1e-8
     )
-
-
-@pytest.mark.slow
-def test_sweeps_solve_the_boundary_value_problem():
-    rod, friction = EVERYTHING, 0.3
-    swept = planar.sweep(CIRCLE, friction, samples=30, rod=rod)
-    rows = np.flatnonzero(swept.phase == Phase.TANGENTIAL)[1::5]
-    assert len(rows) >= 3
-    for i in rows:
-
-        def rates(t, values, unknowns, x0=swept.x0[i]):
-            f, s1, slope = unknowns
-            alpha = slope + np.arctan(friction)
-            force = f * np.array([np.sin(alpha), -np.cos(alpha)])
-            parts = []
-            for values_of, s, length, carried in (
-                (values[:4], t * s1, s1, force),
-                (values[4:], s1 + t * (1 - s1), 1 - s1, 0 * force),
-            ):
-                phi, moment = values_of[:2]
-                fx, fy = carried[:, None] + rod.profile.weight_past(s) * rod.down[:, None]
-                bent = moment / rod.profile.bending_stiffness(s) + rod.curvature
-                rates_of = [bent, fx * np.sin(phi) - fy * np.cos(phi), np.cos(phi), np.sin(phi)]
-                parts += [length * rate for rate in rates_of]
-            return np.stack(parts)
-
-        def conditions(start, end, unknowns, x0=swept.x0[i]):
-            slope = unknowns[2]
-            clamp = [start[0] - np.pi / 2 - rod.compliance * start[1], start[2] - x0, start[3]]
-            touching = [end[0] - slope, *(end[2:4] - CIRCLE.points(slope))]
-            return np.array([*clamp, *touching, *(start[4:] - end[:4]), end[5]])
-
-        s1, slope, point = swept.s1[i], swept.slope[i], swept.point[i]
-        f = np.hypot(*(np.array([swept.f0x[i], swept.f0y[i]]) + rod.weight * rod.down))
-        t = np.linspace(0, 1, 40)
-        guess = [
-            np.pi / 2 + t * (slope - np.pi / 2),
-            -swept.m0z[i] * (1 - t),
-            swept.x0[i] + t * (point[0] - swept.x0[i]),
-        ]
-        guess += [t * point[1], np.full(40, slope), 0 * t, np.full(40, point[0]), np.full(40, point[1])]
-        solution = scipy.integrate.solve_bvp(
-            rates, conditions, t, np.array(guess), [f, s1, slope], tol=1e-9, max_nodes=5000
-        )
-        assert solution.success
-        np.testing.assert_allclose(solution.p, [f, s1, slope], atol=1e-7)
-        np.testing.assert_allclose(-solution.y[1, 0], swept.m0z[i], atol=1e-8)
 
 
 @pytest.mark.slow
