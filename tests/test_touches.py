@@ -232,8 +232,6 @@ def test_tables_and_points_that_can_not_be_are_told(tmp_path):
     ):
         cloud = scan3d.touches(10 * normals, normals, table=table)
         assert [message in found.message for found in contradictions(cloud)] == [True] * (message is not None)
-    with pytest.raises(scan3d.InputError, match="a surface needs contacts that do not all lie in one plane"):
-        scan3d.touches(normals * [1, 1, 0])
     (tmp_path / "points.csv").mkdir()
     with pytest.raises(scan3d.InputError, match=r"points.csv is a folder; give touches as a \.csv"):
         scan3d.touches(tmp_path / "points.csv")
@@ -256,15 +254,6 @@ def test_errors_that_are_stated_in_part_are_told(tmp_path):
         scan3d.touches(table([0, 1, 2, 3, 6, 8], "cov_xx,cov_yy,cov_zz"))
     with pytest.raises(scan3d.InputError, match=r"t\.csv has nx, ny of nx, ny, nz: add the others"):
         scan3d.touches(table([0, 1, 2, 3, 4], "nx,ny"))
-    triangles = np.tile(np.triu(np.full((3, 3), 1e-4)), (len(normals), 1, 1))
-    for more, message in (
-        ({"covariance": triangles}, f"must be symmetric, which {len(normals)} of {len(normals)} are not"),
-        ({"normals": np.ma.masked_array(normals)}, "normals is a masked array"),
-        ({"place_sd": "some"}, "place_sd must be an array of numbers, got some"),
-        ({"normal_sd": ["some"]}, "normal_sd must be an array of numbers"),
-    ):
-        with pytest.raises(scan3d.InputError, match=message):
-            scan3d.touches(20 * normals, **more)
 
 
 def test_clouds_of_several_rods_are_one(tmp_path, no_pictures):
