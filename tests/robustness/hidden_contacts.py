@@ -8,13 +8,12 @@ off by more than five of its stated standard deviations is none.  At most 0.1 % 
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 import trimesh
 
 import scan3d
 from scan3d.geometry.distance import distances
+from tests.robustness import options
 from tests.robustness.shot_rods import noisy
 
 SIGMAS, ALLOWED = 5.0, 1e-3
@@ -41,9 +40,7 @@ def trial(seed):
 
 def main():
     """Draw bodies, and print the share of contacts that are none."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=30)
-    found = np.array([trial(seed) for seed in range(parser.parse_args().count)])
+    found = np.array([trial(seed) for seed in range(options(__doc__, count=30).count)])
     contacts, wrong = found.sum(axis=0)
     print(f"{wrong} of {contacts} contacts of {len(found)} bodies are none: {100 * wrong / contacts:.3g} %")
     raise SystemExit(int(wrong > ALLOWED * contacts))

@@ -13,7 +13,6 @@ within their errors, or if something that is not called unknown is farther off t
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any, NamedTuple
 
@@ -30,6 +29,7 @@ from scan3d.geometry.distance import locator
 from scan3d.geometry.hulls import turns
 from scan3d.geometry.triangles import longest_first
 from scan3d.spatial.bodies import sphere_directions
+from tests.robustness import options
 from tests.robustness.everyday import EVERYDAY, mesh_of
 
 
@@ -113,12 +113,7 @@ def trial(mesh: Any, seed: int, noise: float) -> Found:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--only", nargs="*", default=list(EVERYDAY))
-    given = parser.parse_args()
+    given = options(__doc__, turns=3, first=0, noise=0.0, only=list(EVERYDAY))
     found, right, failed = [], [], False
     print(
         "body            seed  reach touched largest   mean  inside  not unknown  known within Euler    s", flush=True

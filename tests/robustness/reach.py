@@ -19,7 +19,6 @@ or if fewer than 90 % of the reaches that are too large are refuted or bound not
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any, NamedTuple
 
@@ -35,6 +34,7 @@ import scan3d
 from scan3d.bounds.reach import Reach, reach
 from scan3d.geometry.distance import Search
 from scan3d.reconstruction import as_measured
+from tests.robustness import options
 from tests.robustness.everyday import EVERYDAY
 from tests.robustness.everyday import mesh_of as mesh_of_everyday
 from tests.robustness.probing import signed
@@ -236,13 +236,7 @@ def by_beads(seeds: range, slices: int, noise: float, bead: float) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--bodies", type=int, default=100)
-    parser.add_argument("--slices", type=int, default=32)
-    parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--bead", type=float, default=0.0)
-    given = parser.parse_args()
+    given = options(__doc__, first=0, bodies=100, slices=32, noise=0.0, bead=0.0)
     if given.bead:
         return by_beads(range(given.first, given.first + given.bodies), given.slices, given.noise, given.bead)
     counts = dict.fromkeys(("false", "refuted", "bounded", "too large", "told"), 0)
