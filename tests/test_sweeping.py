@@ -211,10 +211,11 @@ def test_a_tip_snaps_around_every_corner(sides, friction):
 
 
 @every_contour
-def test_events_agree_with_the_sweep(contour):
-    events = planar.events(contour, 0.4)
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.4, 0.6])
+def test_events_agree_with_the_sweep(contour, friction):
+    events = planar.events(contour, friction)
     x0 = events.x0[1:-1]
-    swept = planar.sweep(contour, 0.4, base=np.sort(np.concatenate([x0 + 1e-10, x0 - 1e-10]))[::-1])
+    swept = planar.sweep(contour, friction, base=np.sort(np.concatenate([x0 + 1e-10, x0 - 1e-10]))[::-1])
     phases = swept.phase.reshape(-1, 2)
     for kind, (before, after) in zip(events.kind[1:-1], phases, strict=True):
         if kind == EventKind.TO_TANGENTIAL:
