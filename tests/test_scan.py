@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from small_scans import CUBE, EGG, RESULTS
 
 import planar
 import scan3d
+from scan3d import workers
 from scan3d.files.meshes import read_mesh
 from scan3d.files.text import parse_rod
 from scan3d.geometry.hulls import hull
@@ -294,6 +296,17 @@ def test_sweeps_without_contact_are_recorded():
 def test_the_fewest_samples_and_the_least_noise_give_a_result(few):
     """No slice is enclosed by its known normals, and variances are 0."""
     assert scan3d.scan(CUBE, slices=4, **few).surface.is_watertight
+
+
+def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):
+    monkeypatch.setattr(workers, "memory_bytes", lambda: 24_000_000_000)
+    scan3d.simulate(CUBE, scan3d.Plan(slices=2, samples=8))  # imports what it needs
+    tracemalloc.start()
+    for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):
+        with pytest.raises(scan3d.InputError, match=r"needs about .* GB, and this machine has 24 GB"):
+            scan3d.simulate(CUBE, plan)
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
 
 
 @pytest.mark.trust
