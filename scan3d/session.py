@@ -31,7 +31,7 @@ from scan3d.report import Analysis, touched
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.units import UNITS_M, length, share
-from scan3d.workers import in_one_thread
+from scan3d.workers import in_one_thread, tell
 
 if TYPE_CHECKING:
     import trimesh
@@ -84,6 +84,7 @@ class Session(Described):
             return self.planned()
         if self.relative_bound <= self.tolerance:
             return None
+        tell("planning")
         self._check_around()
         if not self.cloud.convex:
             return self._probings(max(1, sweeps // rig.SIDES))

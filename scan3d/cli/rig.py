@@ -322,6 +322,7 @@ def simulate_rig(
     body = rig.standing(load_mesh(mesh, hull=chosen.hull, unit=plan.unit))
     if question := unit_question(float(body.extents.max()), plan.unit):
         output.progress.say(question)
+    output.progress.tell("simulate")
     log = rig.simulate_rig(
         body,
         poses,
@@ -335,6 +336,7 @@ def simulate_rig(
     )
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     log = dataclasses.replace(log, source=log.source | origin)
+    output.progress.tell("write")
     with folder(out.parent):
         _write_log(log, out, mapped)
         if placed:
@@ -585,8 +587,10 @@ def import_(
     chosen = read_map(map)
     if rig:
         chosen = with_rig(chosen, str(rig))
+    output.progress.tell("load")
     imported = convert(load(raw, chosen), chosen)
     if written:
+        output.progress.tell("write")
         with folder(written.parent):
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above

@@ -53,6 +53,7 @@ from scan3d.rigs import Frame, euler_of, wrench_matrix
 from scan3d.spatial import inverse
 from scan3d.units import share
 from scan3d.unmeasured import Jump, amid, jumps_of, steps_of
+from scan3d.workers import tell
 
 KIND = "import"
 """What the source of an imported recording is."""
@@ -224,6 +225,7 @@ def _converted(table: Table, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
     position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
+    tell("finding the sensor's zero")
     at_ends = probed.ends_of(position, quaternion, map.rod.length_m)
     sensed = _filtered(_tared(log, clock, map, table.name, at_ends), log, clock, map, table.name)
     measured = np.ones(len(log), dtype=bool) if sensed.measured is None else sensed.measured
@@ -236,6 +238,7 @@ def _converted(table: Table, map: Map) -> Imported:
             f"position and [rod] length_m of {map.name}"
         )
     noise = _clamp_noise(sensed.noise, map, known)
+    tell("finding the sweeps")
     sweep, backwards, probing, notes = _sweeps(log, wrench, position, quaternion, map, noise, table.name)
     touched = _touching(sensed.wrench, noise, 0.05)  # a part that only contact has
     check_directions(map, table.name, np.where(measured, sweep, -1), position, quaternion, touched, probing)
