@@ -26,14 +26,9 @@ from planar.any_body import SweepStatus
 from planar.channels import Completed, complete, complete_by_moment, touched_at
 from planar.contours import Circle, Contour, Contours, Curve, Ellipse, Polygon
 from planar.hidden import (
-    Recovered,
     bridging,
     constant_friction_angle,
-    corners,
-    first_contacts,
     passed,
-    recover,
-    recover_at_tip,
     second_contacts,
 )
 from planar.reconstruction import (
@@ -67,7 +62,6 @@ __all__ = [
     "NormalSource",
     "Phase",
     "Polygon",
-    "Recovered",
     "Rod",
     "Status",
     "Sweep",
@@ -76,17 +70,13 @@ __all__ = [
     "complete",
     "complete_by_moment",
     "constant_friction_angle",
-    "corners",
     "elastic_lines",
     "errors",
     "events",
-    "first_contacts",
     "free_reactions",
     "jacobian",
     "passed",
     "reconstruct",
-    "recover",
-    "recover_at_tip",
     "second_contacts",
     "sweep",
     "sweep_all",

@@ -1,4 +1,4 @@
-"""Contacts that the reactions give although the rod touches at a second place: what reveals them, and where the second one is.
+"""Contacts that the reactions give although the rod touches at a second place: what reveals them.
 
 Of a rod with two contacts the closed form continues the first piece past its contact to where the moment would vanish (C10): a
 place that is neither, up to a fifth of the rod's length away.  What reveals it:
@@ -16,9 +16,6 @@ the next one has been met by a rod in between, for else the loop of the two coul
 Of the path of the tip only its ends are recorded: the area next to its chord, as far as the path may bulge, is not counted.
 Across a snap nothing is known of it: such steps count for nothing, and neither do rods with a second contact, of which only the
 part up to the first is known.
-
-Where exact sweeps have turned about a corner more than once, rods that pass it touch it first, and what their tip touches as
-well is recovered (`first_contacts`, `recover`), confirmed from row to row.
 
 **Premise.** Without friction two tangential contacts look exactly like one, ``β = 0`` and ``s1 < 1``, in every single sample:
 what neither the path nor other sweeps contradict stays hidden.  With friction the first test needs the coefficient, known, or
@@ -44,8 +41,6 @@ from planar.sweeping import Phase
 _AGREES, _DEVIATIONS = 1e-6, 5.0
 # Chord, in rod lengths, below which a contact has not moved.
 _SAME_PLACE = 1e-6
-# Distance, in rod lengths, up to which exact contacts are at one corner.
-_SAME_CORNER = 1e-9
 
 
 def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) -> float:
@@ -151,130 +146,6 @@ def _off_path(x0: Array, contacts: Contacts, tangential: Mask, errors: Errors | 
     around, _, angle, allowed = steps(2, 0.0)
     found[1:-1] |= around & (angle <= allowed) & (allowed < np.maximum(off[1:], off[:-1]))
     return found
-
-
-def corners(points: ArrayLike) -> Array:
-    """Places (k, 2) at which contacts (n, 2) of exact sweeps were more than once: corners, about which the rod turns."""
-    points = np.asarray(points, dtype=float)
-    if len(points) < 2:
-        return np.empty((0, 2))
-    tree = scipy.spatial.cKDTree(points)
-    pairs = tree.query_pairs(_SAME_CORNER, output_type="ndarray")
-    later = np.zeros(len(points), dtype=bool)
-    later[pairs.max(axis=1)] = True
-    first = np.zeros(len(points), dtype=bool)
-    first[pairs.min(axis=1)] = True
-    return np.asarray(points[first & ~later])
-
-
-def first_contacts(
-    x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, s1: ArrayLike, known: ArrayLike
-) -> Array:
-    """Arc lengths (n,) at which rods, which look as if they touched at s1 (n,), pass the first of known corners (k, 2).
-
-    NaN where they pass none: then the place of their first contact is not known.
-    """
-    base, across, along, moment = checked_reactions(x0, f0x, f0y, m0z)
-    known, end = np.asarray(known, dtype=float), np.minimum(np.nan_to_num(np.asarray(s1, dtype=float), nan=1.0), 1.0)
-    found = np.full(len(base), np.nan)
-    if not len(known) or not len(base):
-        return found
-    row, corner, s, _ = near(drawn(x0, f0x, f0y, m0z, s1), known, 2 * EXPANDED)
-    for _ in range(3):  # Newton's iteration to the corner along the rod
-        shape = piece(-across[row], -along[row], np.full(row.shape, np.pi / 2), -moment[row], s)
-        x, y = known[corner].T - [base[row] + shape.x, shape.y]
-        s = np.clip(s + x * np.cos(shape.phi) + y * np.sin(shape.phi), 0, end[row])
-    on = np.hypot(x, y) < _SAME_CORNER
-    np.fmin.at(found, row[on], s[on])
-    return found
-
-
-class Recovered(NamedTuple):
-    """Second contacts (n,) at the tip; NaN where there is none."""
-
-    point: Array
-    """(n, 2)"""
-    slope: Array
-    """(n,) slope angle of the contour there, in radians."""
-    force: Array
-    """(n,) at the tip."""
-    first_force: Array
-    """(n,) at the first contact."""
-
-
-def recover(
-    x0: ArrayLike,
-    f0x: ArrayLike,
-    f0y: ArrayLike,
-    m0z: ArrayLike,
-    *,
-    first: ArrayLike,
-    friction: ArrayLike,
-) -> Recovered:
-    """`recover_at_tip` of the rows (n,) of a sweep in their order, NaN where nothing confirms that the tip touches.
-
-    Confirmed is what moves as a tip does: from one row to the next along the outline, whose slope the forces give, or around
-    a corner.  `first` is NaN in rows whose first contact is not known, or that touch at one place.
-    """
-    columns = [np.asarray(column, dtype=float) for column in (x0, f0x, f0y, m0z, first)]
-    asked = np.isfinite(columns[-1])
-    *reactions, places = (column[asked] for column in columns)
-    mu = np.broadcast_to(np.asarray(friction, dtype=float), asked.shape)[asked]
-    part = recover_at_tip(*reactions, first=places, friction=mu)
-    found = Recovered(*(np.full(asked.shape + values.shape[1:], np.nan) for values in part))
-    for column, values in zip(found, part, strict=True):
-        column[asked] = values
-    length, turn, off = _steps(found.point, found.slope)
-    with np.errstate(invalid="ignore"):
-        step = np.abs(np.diff(np.asarray(x0, dtype=float)))
-        # closer than single contacts do, because recovered ones confirm each other
-        moves = (length > _SAME_PLACE) & (off <= 0.1 * np.abs(turn) + _AGREES)
-        near = length < SNAPPED * step
-        agrees, differs = near & (moves | (length <= _SAME_PLACE)), near & ~moves & (length > _SAME_PLACE)
-        confirmed = np.append(agrees, False) | np.insert(agrees, 0, False)
-        confirmed &= ~(np.append(differs, False) | np.insert(differs, 0, False))
-        confirmed &= (found.force > 0) & (found.first_force > 0)
-    return Recovered(*(np.where(confirmed.reshape((-1,) + (1,) * (v.ndim - 1)), v, np.nan) for v in found))
-
-
-def recover_at_tip(
-    x0: ArrayLike,
-    f0x: ArrayLike,
-    f0y: ArrayLike,
-    m0z: ArrayLike,
-    *,
-    first: ArrayLike,
-    friction: ArrayLike,
-) -> Recovered:
-    """The second contact of rods (n,) that touch with their tip as well, from the first one's arc length `first` (n,) (C12).
-
-    Both slip with the coefficient `friction`, one number or (n,), as the sweep does.  The first force is the one of its
-    direction ``τ_A + ζ`` for which the moment first vanishes at the tip.
-    """
-    from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
-
-    base, across, along, moment = checked_reactions(x0, f0x, f0y, m0z)
-    s_a, zeta = (np.broadcast_to(v, base.shape) for v in (np.asarray(first, dtype=float), np.arctan(friction)))
-    up = np.full(base.shape, np.pi / 2)
-    to_a = piece(-across, -along, up, -moment, s_a)
-    pushed = np.stack([np.sin(to_a.phi + zeta), -np.cos(to_a.phi + zeta)])
-
-    def bends(force: Array, across: Array, along: Array, px: Array, py: Array, *start: Array) -> Array:
-        """κ at the tip with the first force."""
-        return piece(-across - force * px, -along - force * py, *start).kappa
-
-    rods = across, along, *pushed, to_a.phi, to_a.kappa, 1 - s_a
-    # forces at the first contact, over the whole one
-    tried = np.linspace(0, 4.0, 200) * np.hypot(across, along)[:, None]
-    below = bends(tried, *(column[:, None] for column in rods)) < 0
-    first_change = np.argmax(below[:, :-1] != below[:, 1:], axis=1)
-    bracket = tried[np.arange(len(base)), first_change], tried[np.arange(len(base)), first_change + 1]
-    # NaN for rods without a change
-    force = elementwise.find_root(bends, bracket, args=rods).x
-    fx, fy = -across - force * pushed[0], -along - force * pushed[1]
-    tip = piece(fx, fy, to_a.phi, to_a.kappa, 1 - s_a)
-    point = np.stack([base + to_a.x + tip.x, to_a.y + tip.y], axis=1)
-    return Recovered(point, np.arctan2(fx, -fy) - zeta, np.hypot(fx, fy), force)
 
 
 # Places of each rod about which it is expanded, up to its contact and past it.

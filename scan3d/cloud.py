@@ -152,8 +152,6 @@ class Cloud(Shown, Exported):
     """Whether the body counts as convex: unless its recording states that it is not, and its contacts accord with that."""
     second: int = 0
     """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
-    recovered: NDArray[np.bool_] | None = None
-    """(n,) whether the contact is the second one of its rod, at the tip, whose first one is at a known corner."""
     left_out: LeftOut | None = None
     """Rows of the recording that contradict the rest, and were left out; None if there are none."""
     unmeasured: Unmeasured | None = None
@@ -307,6 +305,6 @@ class Cloud(Shown, Exported):
 
 PER_CONTACT = (
     "points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row", "force_N", "friction",
-    "recovered", "probed", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents",
+    "probed", "covariance", "place_sd", "normal_sd", "centre_points", "centre_covariance", "tangents",
     "tangent_sd", "bending_angle", "slip_to_path", "bead_centres", "bead_sd",
 )  # fmt: skip

@@ -1,7 +1,4 @@
-"""What reveals a second contact, where it is at the tip, and what the rods of a sweep prove to be free."""
-
-import subprocess
-import sys
+"""What reveals a second contact, and what the rods of a sweep prove to be free."""
 
 import numpy as np
 import pytest
@@ -14,11 +11,7 @@ from planar import (
     Status,
     bridging,
     constant_friction_angle,
-    corners,
-    first_contacts,
     passed,
-    recover,
-    recover_at_tip,
     second_contacts,
 )
 from planar.hidden import EXPANDED, drawn, near
@@ -95,27 +88,6 @@ def test_a_contact_that_leaves_the_rods_line_is_not_single():
     ]
 
 
-@pytest.mark.parametrize("name", ["peanut", "peanut with friction", "star"])
-def test_the_second_contact_at_the_tip_is_recovered(name):
-    x0, (f0x, f0y, m0z), friction, (first, second) = rows_of(name)
-    found = recover_at_tip(x0, f0x, f0y, m0z, first=first[0], friction=friction)
-    # the reference values have 12 digits
-    np.testing.assert_allclose(found.point[0], second[2], atol=1e-10)
-    assert found.force[0] == pytest.approx(second[1], abs=1e-9)
-    assert found.first_force[0] == pytest.approx(first[1], abs=1e-9)
-    assert found.slope[0] == pytest.approx(np.radians(second[3]), abs=1e-9)
-
-
-@pytest.mark.slow
-def test_the_second_contact_is_recovered_where_nothing_was_swept_before():
-    """Of a measured log no sweep is simulated, which would import what the recovery needs."""
-    x0, (f0x, f0y, m0z), friction, (first, second) = rows_of("peanut")
-    call = f"recover_at_tip({x0}, {f0x}, {f0y}, {m0z}, first={first[0]}, friction={friction})"
-    code = f"from numpy import array\nfrom planar.hidden import recover_at_tip\nprint({call}.force[0])"
-    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert float(said) == pytest.approx(second[1], abs=1e-9)
-
-
 @pytest.mark.slow
 def test_what_rods_passed_is_free():
     """Random ellipses, from both sides: no place of the body is passed, and most of those close to it are."""
@@ -178,41 +150,6 @@ def test_places_next_to_rods_against_elastic_lines():
         # the chords' directions, of steps of 1/2000, turn the offsets
         np.testing.assert_allclose(found.off[own], aside, atol=2 * EXPANDED)
         np.testing.assert_allclose(found.s[own], at / 2000 * swept.s1[k], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
-    """A rod that passes a corner known from other sweeps touches it; what its tip touches is the body, or is not told."""
-    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    outline = np.stack(polar(0.3 * (1 + 0.25 * np.cos(5 * angle)), angle, 0.0, (0.0, 0.0)), axis=1)
-    turns = [np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in (0.3, 1.2, 2.4)]
-    shifts = [np.array([0, 0.5 - (outline @ turn.T)[:, 1].min()]) for turn in turns]
-    contours = [planar.Polygon(outline @ turn.T + shift) for turn, shift in zip(turns, shifts, strict=True)]
-    swept = planar.sweep_all(contours, 0.3, samples=60)
-    columns = [one.reactions for one in swept]
-    contacts = [planar.reconstruct(*reactions) for reactions in columns]
-    friction = np.tan(constant_friction_angle(contacts[0]))
-    assert friction == pytest.approx(0.3, abs=1e-9)
-    second = [
-        second_contacts(*one.reactions, contacts=found, friction=friction)
-        for one, found in zip(swept, contacts, strict=True)
-    ]
-    places = [
-        (found.point[(found.phase == Phase.TANGENTIAL) & ~rows] - shift) @ turn
-        for found, rows, turn, shift in zip(contacts, second, turns, shifts, strict=True)
-    ]
-    known = corners(np.concatenate(places))
-    assert (np.linalg.norm(known[:, None] - outline, axis=2).min(axis=1) < 1e-12).all()
-    recovered = 0
-    for one, reactions, found, rows, turn, shift in zip(swept, columns, contacts, second, turns, shifts, strict=True):
-        first = first_contacts(*reactions, found.s1, known @ turn.T + shift)
-        asked = rows | ((found.phase == Phase.NONE) & np.isfinite(one.f0x))
-        tips = recover(*reactions, first=np.where(asked, first, np.nan), friction=friction)
-        rows = np.isfinite(tips.force)
-        assert (one.status[rows] == planar.SweepStatus.SEVERAL_CONTACTS).all()
-        np.testing.assert_allclose(tips.point[rows], one.contacts["point"][rows, 1], atol=1e-10)
-        recovered += rows.sum()
-    assert recovered >= 3
 
 
 def test_a_rod_that_rests_on_both_sides_of_a_hollow_is_told_from_one_that_does_not():

@@ -203,7 +203,7 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     force, noise = recording.force_N / rod.force_unit_N, recording.noise.of_reactions(rod)
     is_felt = felt(force, noise)
     known = ~is_felt
-    known[cloud.row if cloud.recovered is None else cloud.row[~cloud.recovered]] = True
+    known[cloud.row] = True
     zero = np.zeros(len(force))
     fx, fy = np.where(is_felt[:, None], force, 0.0).T
     # of chords between 40 points the sagitta is a fraction of a cell

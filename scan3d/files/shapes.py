@@ -270,7 +270,7 @@ def table(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
     """Contacts as a structured array for `ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
 
-    Where second contacts of rods were recovered, a column tells them from the others.  Contacts of noisy data have the standard
+    Contacts of noisy data have the standard
     deviations of their places and of their normals' angles as well, and the covariances of their places in the world.  Contacts
     of the spatial model lie in no slices; instead of the slice they have the rod's tangent and its bending angle, NaN for rods
     that probe.  Touches of other probes have neither sweep, force nor friction.
@@ -292,8 +292,6 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
         columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
     if cloud.covariance is not None:
         columns |= dict(zip(COVARIANCE, cloud.covariance[:, *np.triu_indices(3)].astype(np.float32).T, strict=True))
-    if cloud.recovered is not None:
-        columns["recovered"] = cloud.recovered.astype(np.uint8)
     if cloud.model == "touches":
         for name in ("phase", "slice", "sweep", "force", "friction"):
             del columns[name]

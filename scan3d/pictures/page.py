@@ -150,7 +150,7 @@ def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str,
 
 
 def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
-    names, alike = {name: scene.column(name) for name in ("sweep", "slice", "recovered")}, np.ones(len(scene.points))
+    names, alike = {name: scene.column(name) for name in ("sweep", "slice")}, np.ones(len(scene.points))
     known = [color for color in COLORS if scene.column(color) is not None]
     return {
         "name": "contacts",

@@ -127,11 +127,10 @@ function kindOf(contact) {
 const clampAt = k => [...player.position.subarray(3 * k, 3 * k + 3)];
 
 // The rod of a sample in the world: points from the clamp to the tip, of which number `contact` touches; reactions as vectors.
-// What a rod that touches twice looks like, its reactions do not tell: only its clamp is known.
 function rodAt(k) {
   const [x, y, z] = clampAxes(k), base = clampAt(k), L = player.length, v = player.reactions.subarray(player.width * k);
   const [f, m] = player.width === 6 ? [v.subarray(0, 3), v.subarray(3, 6)] : [[v[0], v[1], 0], [0, 0, v[2]]];
-  const contact = player.contactOf[k], second = contacts.columns.recovered?.[contact] === 1, touches = contact >= 0 && !second;
+  const contact = player.contactOf[k], touches = contact >= 0;
   const world = v => plus(plus(x.map(c => v[0] * c), y, v[1]), z, v[2]), local = v => [x, y, z].map(axis => dot(axis, v));
   const place = touches && local(minus(contactPoint(contact), base)).map(c => c / L), held = player.held?.subarray(6 * k, 6 * k + 6);
   const [force, moment] = held ? [[...held.subarray(0, 3)], [...held.subarray(3)]]
@@ -139,7 +138,7 @@ function rodAt(k) {
   const line = elasticLine(force, moment, player.rod.gravity && local(player.rod.gravity), place,
     kindOf(contact) === "tip");
   return {base, x, y, z, force: world(f), moment: world(m), contact: line.contact, s1: line.s1, touches,
-    points: second ? [base] : line.points.map(point => plus(base, world(point), L))};
+    points: line.points.map(point => plus(base, world(point), L))};
 }
 
 function strip(lines, color, width) {

@@ -515,8 +515,7 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     selected = sweeps == chosen
     rows = recording_rows(scene, recording)[selected]
     curved, rest = bent_rods(recording, rows, is_spatial(scene), points)
-    finite = np.isfinite(curved).all(axis=(1, 2)) & np.isfinite(rest).all(axis=(1, 2))
-    kept: NDArray[np.bool_] = np.asarray(finite & ~recovered(scene)[selected])
+    kept = np.isfinite(curved).all(axis=(1, 2)) & np.isfinite(rest).all(axis=(1, 2))
     scale = 1 / UNITS_M[scene.unit]
     return ShownSweep(
         number=int(chosen),
@@ -591,7 +590,7 @@ def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
         # in the plane of a sweep, or of all channels, as those of probings are
-        same, unit = recovered(scene), recording.rod.force_unit_N
+        same, unit = np.zeros(len(rows), dtype=bool), recording.rod.force_unit_N
         for six_axis in {False, recording.six_axis}:
             of_recording = unit * np.linalg.norm(recording.pressing(six_axis)[indices], axis=1)
             same = same | (forces is None or np.isclose(forces, of_recording, rtol=1e-6, atol=planar.TOLERANCE * unit))
@@ -600,12 +599,6 @@ def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     raise InputError(
         f"the contacts of {scene.name} do not belong to its recording, which rods are drawn from: reconstruct it again"
     )
-
-
-def recovered(scene: Scene) -> NDArray[np.bool_]:
-    """(n,) contacts of rods that touch at another place as well, with a part of the force."""
-    column = scene.column("recovered")
-    return np.zeros(len(scene.points), dtype=bool) if column is None else column.astype(bool)
 
 
 def most_informative_sweep(scene: Scene) -> int:

@@ -1,8 +1,5 @@
 """Contacts of bodies that are not convex: which ones are none, because the rod touched at a second place as well.
 
-Where exact sweeps have turned about a corner, rods that pass it touch it first; with a constant friction what their tip touches
-is known then as well (C12), often the ground of a bay that no rod reaches otherwise.
-
 A recording states that its body is not convex.  Without the statement a contact beyond the tangent at another one, or inside
 the hull of the others, contradicts the model: a rod that is a tenth too long, or a sensor that is turned, gives contacts as a
 hollow body does.  No contact lies inside what the other sweeps have passed, whatever the body's shape (C14), unless the rod,
@@ -24,7 +21,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import SIGMAS, contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
-from scan3d.workers import shared, told
+from scan3d.workers import shared
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
@@ -49,8 +46,6 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     if passed.sum() > 0.15 * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
         return cloud
     single = cloud.select(kept)
-    if cloud.covariance is None and np.isfinite(friction):
-        single = rows.with_recovered(single, recording, friction)
     normals = _estimated_normals(single)
     known = np.isfinite(normals[:, 0])
     source = np.where(known, NormalSource.SLICES, NormalSource.UNKNOWN).astype(np.int8)
@@ -203,45 +198,6 @@ class _Rows:
                         covariance=back @ spread @ back.T,
                     )
         return found
-
-    def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:
-        """The single contacts and those of rods that touch a known corner, and with their tip another place, in addition."""
-        touched, asked = np.zeros(len(self.pressed), dtype=bool), self.pressed.copy()
-        touched[single.row] = single.phase == planar.Phase.TANGENTIAL
-        asked[single.row] = False
-        first, slice_of = np.full(len(asked), np.nan), np.zeros(len(asked), dtype=np.int32)
-        slices = list(zip(np.unique(self.slice), self._slices(), strict=True))
-        for number, (plane, members) in told(slices, "slices"):
-            rows = np.concatenate(members)
-            slice_of[rows], around = number, rows[touched[rows]]
-            corners = planar.corners(self._in_plane(self.found.point[around], around, plane))
-            for sweep in members:
-                known = self._of_sweep(corners, sweep, plane)
-                x0, fx, fy, moment = (column[sweep] for column in self.columns)
-                at = planar.first_contacts(x0, fx, fy, moment, self.found.s1[sweep], known)
-                first[sweep] = np.where(asked[sweep], at, np.nan)
-        tips = planar.recover(*self.columns, first=first, friction=friction)
-        rows = np.flatnonzero(np.isfinite(tips.force))
-        place = np.stack([tips.point[rows, 0] - self.columns[0][rows], tips.point[rows, 1]], axis=1)
-        normal = np.stack([np.sin(tips.slope[rows]), -np.cos(tips.slope[rows])], axis=1)
-        in_world = np.einsum("kni,nij->knj", np.stack([recording.rod.length_m * place, normal]), self.axes[rows, :2])
-        order = np.argsort(np.concatenate([single.row, rows]), kind="stable")
-        second = order >= len(single)
-        # as many contacts more, to be changed to those
-        joined = single.select(np.where(second, 0, order))
-        changed = {
-            "points": (recording.position_m[rows] + in_world[0]) / UNITS_M[recording.unit],
-            "in_plane_normals": in_world[1],
-            "phase": planar.Phase.TIP,
-            "slice": slice_of[rows],
-            "sweep": recording.sweep[rows],
-            "row": rows,
-            "force_N": tips.force[rows] * recording.rod.force_unit_N,
-            "friction": np.nan,
-        }
-        for name, values in changed.items():
-            getattr(joined, name)[second] = values  # arrays of its own
-        return replace(joined, recovered=second)
 
     def _slices(self) -> list[tuple[Array, list[Index]]]:
         """Of each slice the axes (2, 3) of its plane, and the rows of each of its sweeps."""

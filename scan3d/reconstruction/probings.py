@@ -172,7 +172,7 @@ def with_probings(swept: Cloud | None, probed: Cloud) -> Cloud:
     if swept is None:
         return probed
     n, m = len(swept), len(probed)
-    filled: dict[str, Any] = {"normal_sd": np.inf, "recovered": False}
+    filled: dict[str, Any] = {"normal_sd": np.inf}
     columns: dict[str, Any] = {}
     for name in PER_CONTACT:
         parts = [getattr(swept, name), getattr(probed, name)]
