@@ -154,32 +154,27 @@ def windows(starts: Mask, width: int) -> Windows:
     return Windows(rows, left[:, None] + np.arange(width), rows - left)
 
 
-def interpolating(position: Array, own: Index) -> Array:
-    """Weights (k, w) of the slope, at the sample `own` (k,), of the polynomial through values at `position` (k, w)."""
+def interpolating(position: Array, own: Index, left_out: Index) -> tuple[Array, Array]:
+    """Weights (k, w) of the slope, at the sample `own` (k,), of the polynomial through values at `position` (k, w).
+
+    And those of the polynomial through all values but the one `left_out` (k,), which may be the sample's: it is the polynomial
+    through all of them where that value is the one for which their divided difference vanishes.
+    """
     k, w = position.shape
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.ptp(position, axis=1)[:, None]
         x = (position - position[:, :1]) / scale
         difference = x[:, :, None] - x[:, None, :]
         difference[:, np.arange(w), np.arange(w)] = 1
-        barycentric = 1 / difference.prod(axis=2)
+        barycentric = 1 / difference.prod(axis=2)  # and the weights of the divided difference
         picked = np.arange(k)
         weights = barycentric / barycentric[picked, own][:, None] / difference[picked, own]
         weights[picked, own] = 0
         weights[picked, own] = -weights.sum(axis=1)
-        return np.asarray(weights / scale)
-
-
-def extrapolating(position: Array, at: Array) -> Array:
-    """Weights (k, w) of the slope of the polynomial through values at `position` (k, w), at other places `at` (k,)."""
-    _, w = position.shape
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = np.ptp(position, axis=1)[:, None]
-        difference = (position[:, :, None] - position[:, None, :]) / scale[:, :, None]
-        difference[:, np.arange(w), np.arange(w)] = 1
-        away = (at[:, None] - position) / scale
-        basis = away.prod(axis=1)[:, None] / away / difference.prod(axis=2)
-        return np.asarray(basis * ((1 / away).sum(axis=1)[:, None] - 1 / away) / scale)
+        share = weights[picked, left_out] / barycentric[picked, left_out]
+        fewer = weights - share[:, None] * barycentric
+        fewer[picked, left_out] = 0
+        return weights / scale, fewer / scale
 
 
 def fitting(position: Array, own: Index, degree: int, weight: Array, values: Array) -> tuple[Array, Array]:
@@ -272,8 +267,9 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
             rows, members, own = (column[part] for column in every)
             position, nearby = track.travel[members], values[members]
             if covariance is None:
-                weights = interpolating(position, own)
-                fewer = _without_an_end(position, own)
+                # without one of the ends; after a transition a sample at an end may be the only one on its piece of the surface
+                first = (own == 0) | ((own >= width // 2) & (own < width - 1))
+                weights, fewer = interpolating(position, own, np.where(first, 0, width - 1))
                 variance = difference = None
             else:
                 near = covariance[members]
@@ -284,24 +280,6 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
                 variance *= np.maximum(misfit, 1.0)[:, None, None]
             used, other = (np.einsum("kw,kwc->kc", c, nearby) for c in (weights, fewer))
             yield _Slopes(width, rows, used, other, ROUNDING * np.abs(weights).sum(axis=1), variance, difference)
-
-
-def _without_an_end(position: Array, own: Index) -> Array:
-    """Weights (k, w) of the slope of the polynomial through all but one sample of each window, at one of its ends.
-
-    If the sample itself is an end it is left out: after a transition it may be the only one on its piece of the surface.
-    """
-    weights, w = np.zeros_like(position), position.shape[1]
-    for first, last, rows in (
-        (1, w, own == w // 2),
-        (0, w - 1, (own > 0) & (own < w // 2)),
-        (1, w, (own > w // 2) & (own < w - 1)),
-    ):
-        weights[rows, first:last] = interpolating(position[rows, first:last], own[rows] - first)
-    for first, last, end in ((1, w, 0), (0, w - 1, w - 1)):
-        rows = own == end
-        weights[rows, first:last] = extrapolating(position[rows, first:last], position[rows, end])
-    return weights
 
 
 def _slip(track: Track, rows: Index, slopes: Array) -> Array:
