@@ -34,7 +34,7 @@ phases = [planar.Phase(phase).name.lower() for phase in sweep.phase]
 # %% The events of the sweep
 # `events` finds the base positions of the transitions exactly, independently of the samples.
 events = planar.events(contour, friction=0.3)
-reasons = [planar.EventKind(kind).reason for kind in events.kind]
+reasons = [planar.EventKind(kind).sentence for kind in events.kind]
 
 # %% Step 2: from the reactions to the contacts
 # The inputs are the base position and the reactions.  The force of the first sample is zero, and determines no contact.

@@ -503,17 +503,13 @@ def _search_each(path: Path, samples: Index, interval: Index, swept: Sweep, rod:
 
 
 class EventKind(Explained):
-    """Kind of event; `reason` explains it."""
+    """Kind of event; `sentence` explains it."""
 
     TOUCH_DOWN = 0, "the straight rod touches the contour"
     TO_TANGENTIAL = 1, "the contact leaves the tip and becomes tangential"
     TO_TIP = 2, "the contact reaches the tip"
     SNAP = 3, "the equilibrium ends in a fold: the contact jumps along the contour to the next one"
     SNAP_OFF = 4, "the equilibrium ends in a fold, and no other exists further along: the rod leaves the contour"
-
-    @property
-    def reason(self) -> str:
-        return self.sentence
 
 
 @dataclass(frozen=True, repr=False)

@@ -126,7 +126,7 @@ class PoseList:
         """(n,) seconds from the first pose, at `speed_m_s`; turns take the time that the rod's tip needs."""
         turns = Rotation.from_quat(self.quaternion, scalar_first=True)
         length = self.rod.length_m if self.rod is not None else 0.0
-        angle = np.zeros(max(len(self) - 1, 0)) if len(self) < 2 else (turns[:-1].inv() * turns[1:]).magnitude()
+        angle = (turns[:-1].inv() * turns[1:]).magnitude()
         path = np.linalg.norm(np.diff(self.position_m, axis=0), axis=1)
         # poses at the same place follow each other by no less
         steps = np.maximum(np.maximum(path, length * angle) / self.speed_m_s, 1e-3)

@@ -402,7 +402,7 @@ def _outline(body: RoundedPolyhedron, height: float, radius: float, step: float)
     turn = np.mod(np.stack([top - half, top + half], axis=1), 2 * np.pi)
     ended = turn <= angle  # not where it is NaN
     at_end, _, row = np.nonzero(ended)
-    joints = vertex[at_end, row], _normals(body, edge[row], turn[ended])
+    joints = vertex[at_end, row], body.on_edge(edge[row], turn[ended])[1]
     parts = [body.vertices[:, joints[0]] + radius * joints[1]]
     # the arcs between these places
     ends_of_arcs = np.where(ended, turn, 0.0).reshape(4, -1)
@@ -418,18 +418,13 @@ def _outline(body: RoundedPolyhedron, height: float, radius: float, step: float)
     chosen = edge[part]
     span = body.length[chosen] * body.direction[:, chosen]
     on_edge = body.vertices[:, body.tail[chosen]] + np.clip(along, 0, 1) * span
-    parts.append(on_edge + radius * _normals(body, chosen, turn))
+    parts.append(on_edge + radius * body.on_edge(chosen, turn)[1])
     parts.append(_about_vertices(body, height, radius, step, *joints))
     return np.concatenate(parts, axis=1)[:2].T
 
 
 def _rise(rise: Array, across: Array, turn: Array) -> Array:
     return rise * np.cos(turn) + across * np.sin(turn)
-
-
-def _normals(body: RoundedPolyhedron, edge: Index, turn: Array) -> Array:
-    """Normals (3, n) about edges (n,), turned from those of their left faces."""
-    return np.cos(turn) * body.left_normal[:, edge] + np.sin(turn) * body.turned[:, edge]
 
 
 def _spread(row: Index, first: Array, last: Array, step: float) -> tuple[Index, Array]:

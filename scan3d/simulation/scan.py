@@ -631,7 +631,7 @@ def _sweep_in_space(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: i
     keys = [[plan.seed, 3, number, int(row)] for row in rows]
     friction = np.array([drawn_friction(plan.friction_range, samples, key) for key in keys])
     axes = lines.axes[rows]
-    result = sweep(body, position, axes, friction, effort=400, nearest=_NEAREST, snaps=False)
+    result = sweep(body, position, axes, friction, nearest=_NEAREST, snaps=False)
     return [_SpatialSweeps(position, axes, result)]
 
 

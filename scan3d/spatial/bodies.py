@@ -286,7 +286,7 @@ class RoundedPolyhedron:
         _put_law_normal(result, rows, (weight[:, None] * corner).sum(axis=0), *slopes)
 
     def _patch_on_edge(self, result: Patch, rows: Index, number: Index, place: Array) -> None:
-        direction, n, turn = self._on_edge(number, place[1])
+        direction, n, turn = self.on_edge(number, place[1])
         result.point[:, rows] = self.vertices[:, self.tail[number]] + place[0] * direction + self.radius * n
         result.normal[:, rows], result.normal_2[:, rows] = n, turn
         result.point_1[:, rows], result.point_2[:, rows] = direction, self.radius * turn
@@ -310,7 +310,7 @@ class RoundedPolyhedron:
             sides = self._sides[:, :, number[smooth]]
             _put_law_normal(result, rows[smooth], *_in_plane(sides, n[:, smooth], u[:, smooth], v[:, smooth]))
 
-    def _on_edge(self, number: Index, angle: Array) -> tuple[Array, Array, Array]:
+    def on_edge(self, number: Index, angle: Array) -> tuple[Array, Array, Array]:
         """Direction of edges, and normals at angles from their left faces with their derivatives."""
         cos, sin = np.cos(angle), np.sin(angle)
         left, turned = self.left_normal[:, number], self.turned[:, number]
@@ -357,7 +357,7 @@ class RoundedPolyhedron:
         to_vertex, to_face = leaves & (crossed == 0), leaves & (crossed == 1)
         at, e = rows[to_vertex], number[to_vertex]
         feature[at] = self._first_vertex + np.where(upper[to_vertex], self.head[e], self.tail[e])
-        coordinates[:, at] = self._on_edge(e, place[1, to_vertex])[1]
+        coordinates[:, at] = self.on_edge(e, place[1, to_vertex])[1]
         at, e = rows[to_face], number[to_face]
         feature[at] = np.where(upper[to_face], self.right[e], self.left[e])
         coordinates[:, at] = self.vertices[:, self.tail[e]] + place[0, to_face] * self.direction[:, e]

@@ -321,6 +321,8 @@ def first_bend(depth: Array, alpha: Array, s1: Array) -> Array:
 
 # Steps of Newton's method with the direction of the slip frozen, where the slip is not known from the step before.
 _FROZEN_STEPS = 2
+# Steps of Newton's method from one sample to the next before a sweep is given up, as happens at snaps.
+_EFFORT = 800
 # Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
 _LARGEST_STRAIGHTENED = 3
 # Successive steps of Newton's method that do not halve the residual, after which a step fails: at folds they never do.
@@ -386,7 +388,6 @@ def sweep(
     friction: ArrayLike = 0.0,
     *,
     substeps: int = 1,
-    effort: int = 800,
     nearest: float = 0.0,
     snaps: bool = True,
 ) -> Sweeps:
@@ -401,8 +402,6 @@ def sweep(
     substeps
         steps from one sample to the next.  Without friction the result does not depend on them; with friction its error falls
         in proportion to the steps.
-    effort
-        steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
     nearest
         arc length of the contact below which a sweep ends (`End.NEAR`), since the clamp would soon hit the body.
     snaps
@@ -413,7 +412,7 @@ def sweep(
     """
     place, mu = np.asarray(position, dtype=float), np.asarray(friction, dtype=float)
     mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, place.shape[:2])
-    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, effort, nearest, snaps)
+    lanes = _Lanes(body, Paths(place, np.asarray(axes, dtype=float)), mu, substeps, nearest, snaps)
     touch = first_touches(body, lanes.paths)
     while len(touch.number):
         touch = later_touches(body, lanes.paths, *lanes.run(touch))
@@ -535,12 +534,10 @@ class _States:
 class _Lanes:
     """Sweeps past `body` on `paths` with coefficients of friction (m, n), in steps of one sample over `substeps`."""
 
-    def __init__(
-        self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int, nearest: float, snaps: bool
-    ) -> None:
+    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int, nearest: float, snaps: bool) -> None:
         self.body, self.paths, self.friction = body, paths, friction
         self.results = _untouched(*friction.shape)
-        self._longest, self._effort, self._nearest, self._snaps = 1.0 / substeps, effort, nearest, snaps
+        self._longest, self._nearest, self._snaps = 1.0 / substeps, nearest, snaps
         self._last = paths.samples - 1
         # steps of Newton's method before a step fails: on a polyhedron each ends at the border of a face, an edge or a vertex
         self._patience = 9 if body.smooth else 25
@@ -655,7 +652,7 @@ class _Lanes:
         if failed.any():
             self._fail(np.flatnonzero(failed))
         lanes.effort += 1
-        self._finish(np.flatnonzero(lanes.effort > self._effort), End.LOST)
+        self._finish(np.flatnonzero(lanes.effort > _EFFORT), End.LOST)
         kept = lanes.number >= 0
         if not kept.all():
             lanes.keep(kept)
