@@ -334,20 +334,24 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array 
     at the new vertices.  The bound, certified at the old vertices, is interpolated linearly: on a convex surface the result is
     no less than the certified bound of a facet, as a vertex has the largest bound of the facets around it.
     """
+    import trimesh
+
     if scene.shown is not None:
         return scene.shown
     known = scene.surface.vertex_attributes.get("known")
     known = None if known is None else np.asarray(known, dtype=int)
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None, known
-    mesh, weights, corners = _subdivide(scene.surface, scene.diagonal / 60)
-    if known is not None:
-        known = np.where(weights > 0, known[corners], 2).min(axis=1)
-    bound = None
-    if scene.bound is not None:
-        # an infinite bound does not count where its weight is zero but for rounding
-        counts = weights > 0
-        bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
+    count = len(scene.surface.vertices)
+    bounds = np.zeros(count) if scene.bound is None else scene.bound
+    at_least = np.zeros((count, 2)) if known is None else known[:, None] >= [1, 2]
+    # lengths are those of the places alone, and every column is halved
+    columns = np.column_stack([scene.surface.vertices, bounds, at_least])
+    columns, faces = trimesh.remesh.subdivide_to_size(columns, scene.surface.faces, scene.diagonal / 60, max_iter=20)
+    mesh = trimesh.Trimesh(columns[:, :3], faces, process=False)
+    bound = None if scene.bound is None else columns[:, 3]
+    if known is not None:  # as well as the least known of the old vertices that a new one is a mean of
+        known = (columns[:, 4:] == 1).sum(axis=1)
     if scene.truth is None:
         return mesh, None, bound, known
     distances = signed_distances if not scene.is_other and is_convex(scene.truth) else _distances_from_other
@@ -366,29 +370,6 @@ def _distances_from_other(points: Array, other: Any) -> Array:
     cloud = pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(other), inplace=True)
     values = np.asarray(cloud["implicit_distance"], dtype=float)
     return -values if inward else values
-
-
-def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.integer]]:
-    """The mesh with its long edges split; every vertex is a mean, with weights (v, 3), of old vertices (v, 3)."""
-    import trimesh
-
-    if mesh.edges_unique_length.max() <= longest:
-        same = np.arange(len(mesh.vertices))
-        return mesh, np.tile([1.0, 0.0, 0.0], (len(same), 1)), np.stack([same] * 3, axis=1)
-    vertices, faces, old_face_of_face = trimesh.remesh.subdivide_to_size(
-        mesh.vertices, mesh.faces, longest, max_iter=20, return_index=True
-    )
-    old_face = np.empty(len(vertices), dtype=np.int64)  # one of the old faces that a vertex lies in
-    old_face[faces] = old_face_of_face[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = trimesh.triangles.points_to_barycentric(mesh.triangles[old_face], vertices)
-    slivers = ~np.isfinite(weights).all(axis=1)  # without barycentric coordinates: the nearest corner counts
-    distance = np.linalg.norm(mesh.triangles[old_face[slivers]] - vertices[slivers, None], axis=2)
-    weights[slivers] = np.eye(3)[distance.argmin(axis=1)]
-    # a mean shows no more than its corners have, whatever the rounding of the coordinates in slivers
-    weights = np.clip(weights, 0.0, 1.0)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return trimesh.Trimesh(vertices, faces, process=False), weights, np.asarray(mesh.faces)[old_face]
 
 
 def area_of_vertices(mesh: Any) -> Array:
