@@ -32,7 +32,7 @@ from scan3d.files import whole
 from scan3d.files.columns import PARQUET
 from scan3d.files.meshes import FORMATS, common_unit, judge_mesh, load_mesh, read_mesh, stated_unit
 from scan3d.files.points import Points, read_all_points
-from scan3d.files.recordings import as_recording, read_recording, sidecar, write_recording
+from scan3d.files.recordings import as_recording, read_recording, write_recording
 from scan3d.files.shapes import (
     COVARIANCE,
     NORMAL,
@@ -46,7 +46,7 @@ from scan3d.files.shapes import (
     to_polydata,
     write_shape,
 )
-from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, check_pair, locate, replacing, sha256
+from scan3d.files.whole import RECORDING, REPORT, RESULTS, SCHEMA, check_belongs, locate, replacing, sha256
 from scan3d.geometry.distance import distances
 from scan3d.pictures import notebook
 from scan3d.pictures.figures import sheet
@@ -196,8 +196,7 @@ def save(
     written or must not be replaced.
     """
     if isinstance(what, Recording):
-        check_pair(Path(path), sidecar(Path(path)), {}, overwrite, "path", str(what.source.get("kind", "")))
-        write_recording(what, Path(path), overwrite=True)  # checked above
+        write_recording(what, Path(path), overwrite=overwrite)
     else:
         write_shape(to_shape(what, truth, unit), Path(path), overwrite=overwrite, option="path")
 

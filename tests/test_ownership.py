@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -199,11 +200,19 @@ def test_a_recording_replaces_a_simulated_one_and_nothing_else(folder, refused):
     for other in ("[tool]\nname = 'x'\n", "not TOML", toml.replace("simulation", "laboratory")):
         Path("log.toml").write_text(other)
         refused(simulate, r"log\.toml can't be recognised as a simulation by scan3d; give --overwrite")
-        if "laboratory" not in other:
-            with pytest.raises(scan3d.InputError, match=r"is not the TOML file of a recording; choose another name"):
-                scan3d.write_recording(scanned(CUBE).recording, "log.csv")
+        with pytest.raises(
+            scan3d.InputError, match=r"log\.toml can't be recognised as a simulation by scan3d; .* path"
+        ):
+            scan3d.write_recording(scanned(CUBE).recording, "log.csv")
     Path("log.toml").unlink()
     refused(simulate, r"log\.csv can't be recognised as a simulation by scan3d; give --overwrite")
+    before = Path("log.csv").read_bytes()
+    with pytest.raises(scan3d.InputError, match=r"log\.csv can't be recognised as a simulation by scan3d; .* path"):
+        scan3d.write_recording(scanned(CUBE).recording, "log.csv")
+    assert Path("log.csv").read_bytes() == before
+    assert not Path("log.toml").exists()
+    with pytest.raises(scan3d.InputError, match=r"log\.csv can't be recognised as a recording by scan3d; .* path"):
+        scan3d.write_recording(replace(scanned(CUBE).recording, source={}), "log.csv")
     assert main([*map(str, simulate), "--overwrite"]) == 0
     assert "simulation" in Path("log.toml").read_text()
 

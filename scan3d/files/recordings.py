@@ -24,7 +24,7 @@ from scan3d.errors import InputError, UsageError
 from scan3d.files.columns import PARQUET, check_single, parquet_bytes
 from scan3d.files.tables import read_table
 from scan3d.files.text import REQUIRED, Section, read_rod, read_section, rod_section, rows_as_text, to_toml
-from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, source_kind, write_together
+from scan3d.files.whole import SCHEMA, Inputs, check_pair, locate, write_together
 from scan3d.poses import MOVES, SPEED_M_S, Move, PoseList, measures
 from scan3d.recording import FOLLOWED, FORCE, REACTIONS, Known, Recording, completed
 from scan3d.rigs import RigUncertainty
@@ -54,18 +54,14 @@ def check_path(path: str | Path) -> None:
 def write_recording(recording: Recording, path: str | Path, *, overwrite: bool = False) -> None:
     """Write the table and its TOML file; numbers have all digits, so that reading gives the same bits.
 
-    Raises InputError if they can't be written, and, unless `overwrite` is true, if the TOML file would replace one that is not
-    that of a recording.
+    Raises InputError if they can't be written, and, unless `overwrite` is true, if they would replace other files than those of
+    a recording from the same kind of source.
     """
     path = Path(path)
     check_path(path)
     if not len(recording):
         raise InputError("the recording has no rows, and there is nothing to write; record some")
-    beside = sidecar(path)
-    if not overwrite and beside.exists() and source_kind(beside) is None:
-        raise InputError(
-            f"{beside} is not the TOML file of a recording; choose another name for the recording, or write with overwrite=True"
-        )
+    check_pair(path, sidecar(path), {}, overwrite, "path", str(recording.source.get("kind", "")))
     # both files or neither: a table with the rod of another one would be read without a warning
     write_together(path, recording_files(recording, path.name))
 

@@ -495,7 +495,8 @@ def check_pair(
     for file in (sidecar, Path(path)):
         _check_single(file, inputs, option)
         if file.exists() and not overwrite and source_kind(sidecar) != kind:
-            one = f"an {kind}" if kind[:1] in "aeiou" else f"a {kind}"
+            kind = kind or "recording"
+            one = f"an {kind}" if kind[0] in "aeiou" else f"a {kind}"
             raise InputError(f"{file} can't be recognised as {one} by scan3d; {_ASK} {option}")
 
 
