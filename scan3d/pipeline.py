@@ -197,13 +197,9 @@ def analyse(
         a recording, or the cloud of touches of another probe.
     truth
         the true body, a convex `trimesh.Trimesh`; only the results that compare with it depend on it.
-    method
-        the method of the surface, as in `scan3d.surface`.
-    model
-        the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
-    reach
-        radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known, so that a bead alone
-        bounds such a body.
+    method, model, reach
+        as in `scan3d.surface`, `scan3d.reconstruct` and `bounds.reach`; with the reach 0, not known, a bead alone bounds a body
+        that is not convex.
     source
         where touches of another probe come from.
     made

@@ -344,29 +344,11 @@ _DISTANCE = "distance of the surface from the body"
 def measurands(
     cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate, untested: str = ""
 ) -> list[dict[str, Any]]:
-    """The quantities that are measured of a body by its contacts, enclosure, surface and certificate, each with these entries.
+    """The quantities that are measured of a body, with their uncertainties, as `docs/trust.md` explains them.
 
-    quantity, of, unit
-        what was measured, and of what, which is the convex hull where that was scanned in the place of a mesh; the extents are
-        those along the axes of the world.
-    value
-        that of the surface; None where the interval has no end, as the value then says nothing of the body.
-    interval
-        lower and upper bound, between which the true value lies with the coverage probability; infinite where nothing
-        bounds it.
-    expanded_uncertainty
-        the largest distance of the value from the ends of the interval; None without a value.
-    coverage_probability
-        1 for exact contacts; None where nothing is stated.
-    reason
-        why there is no value; empty if there is one.
-    coverage_factor
-        the number of standard deviations of each contact that the interval allows for, which is larger than 2 because it
-        holds for all contacts at once; None for exact contacts.  Where the reactions are exact, and the rig's calibration is
-        not, the number of standard deviations of the calibration.
-
-    All intervals hold together, under the premises of the certificate.
-    `untested` is why nothing is certified of a recording that nothing contradicts.
+    The coverage factor is the number of standard deviations of each contact that the interval allows for: larger than 2,
+    because it holds for all contacts at once.  Where the reactions are exact, and the rig's calibration is not, it is that of
+    the calibration.  `untested` is why nothing is certified of a recording that nothing contradicts.
     """
     unit, probability = cloud.unit, _confidence(cloud, bounds, certified.bound)
     vertices = np.asarray(surface.vertices)

@@ -94,16 +94,7 @@ class Sheet:
 
 
 def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | None = None) -> Sheet:
-    """The sheet of a picture.
-
-    size
-        ``WIDTH`` or ``WIDTHxHEIGHT`` and a unit, mm, cm, in, pt or px: ``85mm``, ``85x60mm``, ``1200x900px``; by default
-        7 inches wide, and as high as what is drawn needs.
-    dpi
-        pixels to the inch, from 50 to 2400; by default 200.
-    camera
-        one of `scan3d.choices.CAMERAS`, or ``AZIMUTH,ELEVATION`` of the camera in degrees; a comma and a factor after either of
-        them zoom: ``top``, ``300,25``, ``300,25,1.5``.
+    """The sheet of a picture; its size, resolution and camera are stated as in `scan3d.plot`.
 
     Raises InputError for other values, and for a picture that is too large to be rendered.
     """
