@@ -9,12 +9,15 @@ the place is a point of the plane, on an edge a point of the edge and the angle 
 piece the equations of the rod are smooth and regular however small the radius; a step of Newton's method that leaves a piece
 ends at its border and goes on next door.
 
+A place on a body's surface is a `feature` (n,), the number of a piece of the surface, and `coordinates` (3, n) on that piece,
+which only the body understands.
+
 Vectors of many places at once have their components along the first axis, for speed: arrays (3, n).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,29 +82,6 @@ class Patch(NamedTuple):
     law_normal_2: Array
 
 
-class Body(Protocol):
-    """A convex body with a smooth surface, dimensionless.
-
-    A place on its surface is a `feature` (n,), the number of a piece of the surface, and `coordinates` (3, n) on that piece,
-    which only the body understands.
-    """
-
-    smooth: bool
-    """Whether the coordinates are the normal, so that they can be extrapolated from place to place."""
-
-    def patch(self, feature: Index, coordinates: Array) -> Patch:
-        """The surface at places."""
-
-    def moved(self, feature: Index, coordinates: Array, patch: Patch, step: Array) -> tuple[Index, Array, Array]:
-        """Places moved by steps (2, n) in their local coordinates: features, coordinates, and parts (n,) of the steps taken.
-
-        A step ends where it leaves its piece of the surface, and the place is then on the next piece.
-        """
-
-    def extreme(self, normal: Array) -> tuple[Index, Array, Array]:
-        """Feature, coordinates and point (3, n) of the body's place with the outward normals (3, n)."""
-
-
 def _allowed(turn: Array) -> Array:
     """The parts (n,) of turns (n,) that one step may take."""
     return np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
@@ -111,6 +91,7 @@ class Ellipsoid:
     """An ellipsoid with three semi-axes along the rows of `axes`, fattened by the rod's radius."""
 
     smooth = True
+    """Whether the coordinates are the normal, so that they can be extrapolated from place to place."""
 
     def __init__(
         self,
@@ -145,6 +126,7 @@ class Ellipsoid:
         return feature, unit(turned), part
 
     def extreme(self, normal: Array) -> tuple[Index, Array, Array]:
+        """Feature, coordinates and point (3, n) of the body's place with the outward normals (3, n)."""
         return np.zeros(normal.shape[1], dtype=np.intp), normal, self.support(normal)[0] + self.radius * normal
 
 
@@ -317,6 +299,10 @@ class RoundedPolyhedron:
         return self.direction[:, number], cos * left + sin * turned, cos * turned - sin * left
 
     def moved(self, feature: Index, coordinates: Array, patch: Patch, step: Array) -> tuple[Index, Array, Array]:
+        """Places moved by steps (2, n) in their local coordinates: features, coordinates, and parts (n,) of the steps taken.
+
+        A step ends where it leaves its piece of the surface, and the place is then on the next piece.
+        """
         feature, coordinates, part = feature.copy(), coordinates.copy(), np.ones(len(feature))
         on_face, on_edge, at_vertex = self._parts(feature)
         if len(on_face):
@@ -427,3 +413,6 @@ def _in_plane(sides: Array, n: Array, u: Array, v: Array) -> tuple[Array, Array,
     k = across / np.where(crease, size, 1.0)
     first, *rest = (np.where(crease, vector - dot(vector, k) * k, 0.0) for vector in (n, u, v))
     return np.where(crease, first, a), rest[0], rest[1]
+
+
+Body = Ellipsoid | RoundedPolyhedron
