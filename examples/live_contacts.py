@@ -58,7 +58,7 @@ def main(words: list[str]) -> scan3d.Live:
         receiver.settimeout(60.0)
         if words and not words[0].startswith("--"):
             receiver.bind((HOST, port))
-            live = scan3d.Live(words[0])
+            live = scan3d.Live(words[0], unit="mm")
             listen(live, receiver)
             return live
         receiver.bind((HOST, 0))  # any that is free

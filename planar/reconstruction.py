@@ -461,16 +461,16 @@ def errors(
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
     spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) if slopes is None else slopes
-    if covariance is None:
-        force, moment = noise
-        scale = dict(zip(NAMES, (force, force, moment), strict=True))
-        # that of what was completed cancels out, and may be 0
-        spread = spread * [1.0 if name == missing else size for name, size in scale.items()]
-    else:
-        sizes, vectors = np.linalg.eigh(np.nan_to_num(covariance))
-        spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])
+    own = np.array(NAMES) == missing
     if missing is not None:
         spread = _completed(spread, missing, known, known_sd, np.broadcast_to(tip, len(spread)), direction)
+    if covariance is None:
+        force, moment = noise
+        spread = spread * np.where(own, 1.0, [force, force, moment])
+    else:  # what was completed has its own deviation already, and none in common with the others
+        measured = np.where(own | own[:, None], np.diag(own), np.nan_to_num(covariance))
+        sizes, vectors = np.linalg.eigh(measured)
+        spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
         point = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
         mean, half = (point[:, 0, 0] + point[:, 1, 1]) / 2, (point[:, 0, 0] - point[:, 1, 1]) / 2

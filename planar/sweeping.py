@@ -281,11 +281,15 @@ def _outside(sweeps: list[Sweep], contours: Sequence[Contour], rod: Rod) -> list
         body = np.full(places[0].size, i)
         gap = outlines.nearest(body, places.reshape(2, -1).T, 0.0).gap.reshape(places[0].shape)
         through = samples[(gap < -INSIDE).any(axis=0)]
-        if len(through):
-            _clear(swept, through)
-            states = swept.status
-            states[through] = SweepStatus.UNRESOLVED
-            sweeps[i] = SweepOfAnyBody(**vars(swept), states=states, records=swept.contacts)
+        _clear(swept, through)
+        states, records = swept.status, swept.contacts
+        states[through] = SweepStatus.UNRESOLVED
+        # what the clamp holds besides the contact is the rod's weight
+        fx, fy = np.where(
+            swept.phase == Phase.NONE, np.nan, np.stack([swept.f0x, swept.f0y]) + rod.rows(np.array([i])).pull
+        )
+        records.force, records.force_angle = np.hypot(fx, fy)[:, None], np.arctan2(-fx, fy)[:, None]
+        sweeps[i] = SweepOfAnyBody(**vars(swept), states=states, records=records)
     return sweeps
 
 

@@ -100,7 +100,7 @@ class Rod:
                 "a rod with a bead_diameter_m is straight and without weight: where the bead of another has been is not known; "
                 "leave one of them out"
             )
-        thickest = max(self.diameter_m, *(value for _, value in self.diameter_table), 0.0)
+        thickest = self.diameter_m * max(self.profile.diameters)
         if self.bead_diameter_m and not thickest <= self.bead_diameter_m < self.length_m:
             raise InputError(
                 f"a rod's bead_diameter_m is at least its diameter, {thickest:g} m, so that the rod passes where the bead "
@@ -189,8 +189,7 @@ class Rod:
         weight = self.profile.weight
         if weight and down is None:
             raise InputError("a rod with weight needs gravity in the frame of its clamp, which only a recording knows")
-        # of a uniform cantilever under its weight, which a tapered one stays below
-        if weight and weight / 8 * float(abs(down[..., 2]).max()) > sag + planar.TOLERANCE:  # type: ignore[index]
+        if weight and self._sag() * float(abs(down[..., 2]).max()) > sag + planar.TOLERANCE:  # type: ignore[index]
             raise InputError(
                 "the rod's weight bends it out of the plane of its sweep, because gravity does not lie in that plane: "
                 "sweep in planes that contain gravity, or measure six axes for the spatial model"
@@ -209,6 +208,15 @@ class Rod:
             gravity=down[..., :2] if weight and down is not None else None,
             compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm,
         )
+
+    def _sag(self) -> float:
+        """Deflection of the tip of the rod as a cantilever under its weight, in rod lengths: W/8 of a uniform one."""
+        import numpy as np
+        from scipy.integrate import cumulative_trapezoid
+
+        s = np.linspace(0.0, 1.0, 1001)
+        lever = cumulative_trapezoid((1 - s) / self.profile.bending_stiffness(s), s, initial=0)
+        return float(np.trapezoid(self.profile.weight_past(s) * lever, s))
 
     def in_space(self) -> SpatialRod:
         """The rod of the spatial model, in the units (1)."""

@@ -99,8 +99,13 @@ def spelled(unit: str, quantity: str) -> str | None:
     """A unit in the spelling of `FACTORS`, whose words may change places; None if it is not one of the quantity's units."""
     words = [word for word in re.split(r"[\s·*.⋅_-]", re.sub("[µμ]", "u", unit)) if word]
     words = [_SPELLINGS.get(word.lower(), word) if word not in FACTORS[quantity] else word for word in words]
-    known = ((name, name.split()) for name in FACTORS[quantity])
-    return next((name for name, own in known if sorted(own) == sorted(words) or "".join(own) == "".join(words)), None)
+    for name in FACTORS[quantity]:
+        own = name.split()
+        # "m N" is no millinewton: what is written apart is not joined, but "mNmm" is two words
+        joined = "".join(own) == "".join(words) and (len(words) == 1 or len(own) > 1)
+        if joined or sorted(own) == sorted(words):
+            return name
+    return None
 
 
 def unit_of_cell(text: str) -> tuple[str, str] | None:

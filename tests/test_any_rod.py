@@ -92,6 +92,7 @@ def test_an_integration_from_the_clamp_touches_the_body_and_ends_without_moment(
     assert (swept.phase[rows] == Phase.TANGENTIAL).sum() >= 3
     for i in rows:
         f, alpha = contacts.force[i], contacts.force_angle[i]
+        assert swept.contacts[i, 0][["force", "force_angle"]].tolist() == pytest.approx((f, alpha), abs=1e-9)
         force = f * np.array([np.sin(alpha), -np.cos(alpha)])
         start = [np.pi / 2 - rod.compliance * swept.m0z[i], -swept.m0z[i], swept.x0[i], 0.0]
         contact = integrated(rod, force, start, (0.0, contacts.s1[i]))

@@ -84,9 +84,14 @@ def test_errors_are_those_of_drawn_noise(missing):
     given = [None if name == missing else column for name, column in zip(("x0", *CHANNELS), columns, strict=True)]
     found = planar.reconstruct(*planar.complete(*given, friction=friction, near=near).reactions, tolerance=1e-5)
     tip = sweep.phase[rows] == planar.Phase.TIP
-    stated = planar.errors(
-        *(column[rows] for column in sweep.reactions[1:]), noise=noise, missing=missing, known_sd=sd, tip=tip
+    reactions = [column[rows] for column in sweep.reactions[1:]]
+    stated = planar.errors(*reactions, noise=noise, missing=missing, known_sd=sd, tip=tip)
+    covariance = np.tile(np.diag(np.square([noise[0], noise[0], noise[1]])), (len(rows), 1, 1))
+    by_covariance = planar.errors(
+        *reactions, noise=(0, 0), covariance=covariance, missing=missing, known_sd=sd, tip=tip
     )
+    for one, other in zip(stated, by_covariance, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-20)
     off = found.point.reshape(len(rows), draws, 2) - sweep.point[rows][:, None]
     chi = np.einsum("nki,nij,nkj->nk", off, np.linalg.inv(stated.point + 1e-22 * np.eye(2)), off).mean(axis=1) / 2
     np.testing.assert_allclose(chi, 1, atol=5 / np.sqrt(draws))

@@ -138,6 +138,9 @@ def one_time(row, cell):
         (lines(header=HEADER.replace("Tx,", "Tx_Nm,")),
          r"line 1 says that column 'Tx_Nm' is in N m, and \[units\] moment .* says N mm",
          changed("columns", moment=["Tx_Nm", "Ty", "Tz"])),
+        (lines(header=HEADER.replace("Tx,", "Tx [m N],")),
+         r"line 1 says that column 'Tx \[m N\]' is in N m, and \[units\] moment .* says N mm",
+         changed("columns", moment=["Tx [m N]", "Ty", "Tz"])),
         ([HEADER, UNITS.replace("mm", "m", 3), *lines()[1:]],
          r"line 2 says that column 'x' is in m, and \[units\] length .* says mm", changed("table", units_row=True)),
         (lines(), r"log\.csv has 14 columns, and \[columns\] force of the map names column 15",
@@ -158,7 +161,7 @@ def one_time(row, cell):
         (one_time(6, ""), "line 8 has no value in column 't'"),
         (timed(lambda k: f"10:00:{59 - k % 60:02}"), "time runs backwards"),
     ],
-    ids=range(32),
+    ids=range(33),
 )  # fmt: skip
 def test_tables(tmp_path, case):
     rows, words, made = case if len(case) == 3 else (*case, data())

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scans import CUBE, scanned, scanned_in_space
+from small_scans import CUBE, ring, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures.page import page, player
@@ -117,6 +117,15 @@ def test_the_package_contains_every_file_beside_its_modules():
         assert any(fnmatch.fnmatch(name, pattern) for pattern in tool["packages"]["find"]["include"])
         data = {path for pattern in tool["package-data"].get(name, ()) for path in folder.glob(pattern)}
         assert data == {path for path in folder.iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
+
+
+def test_the_clamp_travels_along_the_rod_in_probings():
+    data, scene = player(ring(), np.zeros(3)), ring()
+    starts, travel = data["starts"], array(data["travel"])
+    probings = scene.recording.in_probings[[np.flatnonzero(scene.recording.sweep == k)[0] for k in data["numbers"]]]
+    last = travel[np.append(starts[1:], len(travel)) - 1]
+    assert probings.any()
+    assert (last[probings] > 1.0).all()
 
 
 @pytest.mark.slow

@@ -104,6 +104,7 @@ OF_SCAN3D = [
     (BEAD, [
         ({"bead_diameter_m": -1e-3}, "bead_diameter_m of at least 0"),
         ({"bead_diameter_m": 1e-3, "diameter_m": 2e-3}, "at least its diameter"),
+        ({"bead_diameter_m": 1e-3, "diameter_m": 5e-4, "tip_diameter_m": 2e-3}, "at least its diameter"),
         ({"bead_diameter_m": 0.06}, "less than its length"),
         ({"bead_diameter_m": 1e-3, "weight_N": 1e-3}, "straight and without weight"),
         ({"bead_diameter_m": 1e-3, "curvature_per_m": 1.0}, "straight and without weight"),

@@ -293,6 +293,9 @@ def test_a_body_that_is_not_convex_has_no_bound_at_its_surface_to_show(cube):
     surface.vertex_attributes["known"] = np.full(len(surface.vertices), 2)
     with pytest.raises(scan3d.InputError, match="not convex, and the view surface shows what of it is known"):
         shade_surface(replace(cube, surface=surface, bound=None), "bound")
+    # beside another surface the distance from that is shown
+    other = replace(cube, surface=surface, bound=None).against(trimesh.creation.box([30.0] * 3))
+    assert shade_surface(other)[1].title.startswith("signed distance from the other surface")
 
 
 def test_the_distance_from_another_surface_is_signed_and_exact(cube):

@@ -54,7 +54,7 @@ class Limits:
     max_force
         largest contact force in N, by which the clamp keeps farther away
     floor
-        height above which clamp and straight rod stay (default: 2 % of the bounding body's height)
+        height above which clamp and straight rod stay (default: 2 % of the bounding body's height, and two rod diameters)
     speed
         of the clamp, per second
     """

@@ -237,9 +237,11 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     differs = np.diff(recording.quaternion[rows], axis=0) != 0
     turned = np.flatnonzero(np.concatenate([[True], differs.any(axis=1)]))
     axes, position = recording.axes()[rows], recording.position_m[rows] / UNITS_M[scene.unit]
-    # the way of the clamp against its x axis since the first sample of the sweep, and the sizes of force and moment
+    # the way of the clamp against its x axis, or in probings along its y axis, since the first sample of the sweep, and the
+    # sizes of force and moment
     first = np.repeat(samples.starts, np.diff([*samples.starts, len(rows)]))
-    travel = -np.einsum("ni,ni->n", position - position[first], axes[first, 0])
+    along = np.where(recording.in_probings[rows][first, None], axes[first, 1], -axes[first, 0])
+    travel = np.einsum("ni,ni->n", position - position[first], along)
     sizes = np.column_stack([np.linalg.norm(force, axis=1), np.linalg.norm(moment, axis=1)])
     shown = int(np.flatnonzero(samples.numbers == parts.most_informative_sweep(scene))[0])
     data: dict[str, Any] = {

@@ -12,7 +12,9 @@ async function follow() {
     Object.assign(layer, now, {on: layer.on}); prepare(layer);
     if (layer.legend) legend(layer.legend, layer);
   }
-  said.textContent = fresh.live; brief(first); redraw();
+  said.textContent = fresh.live;
+  if (first) brief(first);
+  redraw();
   setTimeout(follow, 250);
 }
 

@@ -203,6 +203,7 @@ function drawRod(view, ratio) {
 
 // --- the curves ---
 
+const ends = values => values.reduce(([low, high], value) => [Math.min(low, value), Math.max(high, value)], [Infinity, -Infinity]);
 const travelOf = sweep => player.travel.subarray(player.starts[sweep], player.ends[sweep]);
 
 function ticks(low, high, most) {  // round numbers from low to high
@@ -226,8 +227,7 @@ function drawCurves(k, sweep) {
 }
 
 function chartText({chart, size, x, y, w, h}, travel, rows, shown) {  // a chart as SVG
-  const near = Math.min(...travel), width = Math.max(...travel) - near || 1;
-  const low = Math.min(0, ...rows.map(row => Math.min(...row))), top = Math.max(0, ...rows.map(row => Math.max(...row)));
+  const [near, far] = ends(travel), width = far - near || 1, [low, top] = ends([0, ...rows.flatMap(ends)]);
   const high = top > low ? top : low + 1, color = i => player.colors.curves[i];
   const px = t => x + w * (t - near) / width, py = v => y + h * (high - v) / (high - low);
   const line = (points, color, wide) => `<polyline points="${points.join(" ")}" stroke="${color}" stroke-width="${wide}"/>`;
@@ -248,7 +248,7 @@ function chartText({chart, size, x, y, w, h}, travel, rows, shown) {  // a chart
 function sampleAtCurve(clientX) {  // the sample of the present sweep whose travel is nearest to a place in a chart
   const x = clientX - curves.getBoundingClientRect().left, travel = travelOf(player.sweep);
   const chart = curveFrames().reduce((a, b) => Math.abs(x - a.x - a.w / 2) <= Math.abs(x - b.x - b.w / 2) ? a : b);
-  const near = Math.min(...travel), far = Math.max(...travel), at = near + (x - chart.x) / chart.w * (far - near);
+  const [near, far] = ends(travel), at = near + (x - chart.x) / chart.w * (far - near);
   const nearest = travel.reduce((best, t, i) => Math.abs(t - at) < Math.abs(travel[best] - at) ? i : best, 0);
   return player.starts[player.sweep] + nearest;
 }

@@ -283,7 +283,7 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     """
     mesh, deviation, bound, known = shown_surface(scene)
     shades = []
-    if known is not None:  # patches that no rod has reached are seen at once
+    if known is not None and not scene.is_other:  # patches that no rod has reached are seen at once
         kinds = ("known", BODY), ("estimated", ESTIMATED), ("unknown", TANGENTIAL)
         shades.append(shade_kinds(2 - known, "known or not", *kinds))
     bounds = bound if scene.bound is not None and bound is not None else np.empty(0)
