@@ -30,7 +30,7 @@ from scipy.spatial import ConvexHull
 from planar.arrays import rows_of
 from scan3d.arrays import OCTANTS, Array, Mask, ratio
 from scan3d.geometry.arcs import Arcs, Places
-from scan3d.geometry.hulls import Corners, corners_of_planes
+from scan3d.geometry.hulls import Corners, polytope
 from scan3d.geometry.triangles import dot
 
 # Part of the diagonal within which a corner lies on the box.
@@ -119,7 +119,7 @@ def outer_body(planes: Planes, body: Any) -> tuple[Array, Array]:
     half = 1.1 * float(np.abs(points - inside).max()) + float(planes.errors.max(initial=0.0))
     while True:
         move = np.max([planes.moved(inside + half * corner) for corner in OCTANTS], axis=0)
-        corners = _polytope(planes.normals, value + move, inside, half)
+        corners = polytope(np.column_stack([planes.normals, value + move]), inside, half)
         if float(np.abs(corners - inside).max()) < half - _LEAST * size or half > _LARGEST * size:
             break
         half *= _RATIO
@@ -129,16 +129,9 @@ def outer_body(planes: Planes, body: Any) -> tuple[Array, Array]:
         if float(move.sum()) > (1 - _LESS) * left:
             break
         left = float(move.sum())
-        corners = _polytope(planes.normals, value + move, inside, half)
+        corners = polytope(np.column_stack([planes.normals, value + move]), inside, half)
     is_far = np.abs(corners - inside).max(axis=1) >= half - _LEAST * size
     return corners[~is_far], inside + _FAR * (corners[is_far] - inside)
-
-
-def _polytope(normals: Array, values: Array, inside: Array, half: float) -> Array:
-    """Corners (w, 3) of what planes leave of a cube about a point inside."""
-    cube = np.concatenate([np.eye(3), -np.eye(3)])
-    of_cube = np.column_stack([cube, cube @ inside + half])
-    return corners_of_planes(np.concatenate([of_cube, np.column_stack([normals, values])]), inside)
 
 
 def _caps(corners: Array, planes: Planes, value: Array) -> Array:

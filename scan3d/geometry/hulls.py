@@ -547,6 +547,12 @@ def plane_faces(points: Array, tolerance: float) -> Array:
     return np.array(faces) if faces else np.empty((0, 4))
 
 
+def polytope(planes: Array, inside: Array, half: float) -> Array:
+    """Vertices (v, 3) of what planes (k, 4) leave of a cube about a point (3,) inside, with its faces `half` away from it."""
+    cube = np.concatenate([np.eye(3), -np.eye(3)])
+    return corners_of_planes(np.concatenate([np.column_stack([cube, cube @ inside + half]), planes]), inside)
+
+
 def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolerance: float) -> Array:
     """Vertices (v, 3) of the polytope that planes enclose: all of `first` (k, 4), and those of `others` (l, 4) that cut it.
 
@@ -557,13 +563,9 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
     tolerance
         depth of the smallest cut that is made.
     """
-    box = np.concatenate([np.eye(3), -np.eye(3)])
-    planes = np.concatenate([first, np.column_stack([box, box @ inside + 2 * size])])
     used = np.zeros(len(others), dtype=bool)
-    vertices = corners_of_planes(planes, inside)
+    vertices = polytope(first, inside, 2 * size)
     for _ in range(20):
-        if not len(others):
-            break
         # one vertex after another has the same planes through it, so each plane is added once
         deepest, depth = _deepest_cuts(vertices, others)
         order = np.argsort(-depth, kind="stable")
@@ -572,8 +574,7 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
         if not len(added):
             break
         used[added] = True
-        planes = np.concatenate([planes, others[added]])
-        vertices = corners_of_planes(planes, inside)
+        vertices = polytope(np.concatenate([first, others[used]]), inside, 2 * size)
     return vertices
 
 

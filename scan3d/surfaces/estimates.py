@@ -59,7 +59,7 @@ from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError, NoBodyError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import ROUNDED, cut_polytope, hull, plane_faces, vertices_of
+from scan3d.geometry.hulls import ROUNDED, cut_polytope, hull, plane_faces, polytope, vertices_of
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.facets import POLYHEDRON, on_planes, polyhedron
 from scan3d.reconstruction.slices import SliceStack, stacks
@@ -622,7 +622,7 @@ def _body(cloud: Cloud, points: Array, planes: Planes) -> Any:
     touched = hull(feet)
     inside = touched.vertices.view(np.ndarray).mean(axis=0)
     faces = np.concatenate([np.column_stack([planes.normals, planes.offsets]), _limits(cloud)])
-    vertices = cut_polytope(faces, np.empty((0, 4)), inside, size, 0.0)
+    vertices = polytope(faces, inside, 2 * size)
     # others are those of planes that leave the body open
     vertices = vertices[np.abs(vertices - inside).max(axis=1) <= size]
     if len(vertices):
