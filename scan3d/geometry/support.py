@@ -29,10 +29,9 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
-from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import NEGLIGIBLE, SOME, Array, Index, across, unit
-from scan3d.geometry.hulls import hull_near
+from scan3d.arrays import SOME, Array, Index, across, unit
+from scan3d.geometry.hulls import hull, hull_near
 
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
@@ -270,15 +269,7 @@ def inertia(points: Array) -> tuple[Array, Array]:
     The shape is the symmetric map from the unit ball to the ellipsoid that has the hull's moments of inertia.
     """
     middle = points.mean(axis=0)
-    try:
-        qhull = ConvexHull(points - middle)
-    except QhullError:
-        extents = np.linalg.svd(points - middle, compute_uv=False)
-        if len(extents) < 3 or extents[2] < NEGLIGIBLE * extents[0]:
-            raise
-        # moved by rounding where very many points in one plane make Qhull fail
-        qhull = ConvexHull(points - middle, qhull_options="QJ")
-    corners = qhull.points[qhull.simplices]
+    corners = hull(points - middle).triangles.view(np.ndarray)
     volume = np.abs(np.linalg.det(corners)) / 6
     centroid = (volume[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / volume.sum()
     tetrahedra = np.concatenate([corners, np.zeros((len(corners), 1, 3))], axis=1) - centroid
