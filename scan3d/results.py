@@ -95,8 +95,8 @@ def simulate(mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: 
 
 @_described_by(reconstruct_contacts, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
 @in_one_thread
-def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
-    return reconstruct_contacts(as_recording(recording), method, model)
+def reconstruct(recording: Recording | _Path, model: Model | None = None) -> Cloud:
+    return reconstruct_contacts(as_recording(recording), model)
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")

@@ -124,9 +124,6 @@ def test_the_model_is_chosen_by_the_axes_or_by_name(few):
         scan3d.reconstruct(plane, model="spatial")
     with pytest.raises(InputError, match="model must be"):
         scan3d.reconstruct(recording, model="cubic")
-    with pytest.raises(InputError, match="closed-form only"):
-        scan3d.reconstruct(recording, "will")
-    assert scan3d.reconstruct(recording, "will", "planar").model == "planar"
 
 
 def test_a_recording_in_the_mirror_plane_has_the_planar_contacts():

@@ -507,11 +507,9 @@ _UNIT = 1e-5
 _PASSES = 6
 
 
-def reconstruct(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
+def reconstruct(recording: Recording, model: str | None = None) -> Cloud:
     """Contacts of a recording, simulated or measured, with the normals of the surface where they can be known.
 
-    method
-        that of `planar.reconstruct`, for the planar model; the spatial one has the closed form only.
     model
         'planar' or 'spatial'; None is spatial if the recording has six axes, else planar.
 
@@ -523,18 +521,18 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     that explains it, of at most 1 %, and their `calibration` has what it does to them.  In space `pose_error` has twice
     how much deeper noisy contacts lie in the hull of all than their noise explains, which widens the bounds.
     Raises InputError if the recording has no contact, or not the axes that the model needs, for the spatial model of a body
-    that is stated not to be convex, and ValueError for an unknown method.
+    that is stated not to be convex.
     """
-    model = model_of(recording, method, model)
+    model = model_of(recording, model)
     if not len(recording):
         raise NoContactError("the recording has no rows, as that of a stream before its first touch; record some")
     if (missing := unmeasured(recording)) is None:
-        return _reconstructed(recording, method, model)
+        return _reconstructed(recording, model)
     part, rows = measured(recording, missing)
-    return as_recorded(recording, missing, rows, _reconstructed(part, method, model))
+    return as_recorded(recording, missing, rows, _reconstructed(part, model))
 
 
-def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
+def _reconstructed(recording: Recording, model: str) -> Cloud:
     """`reconstruct` of a recording all of whose rows were measured."""
     along = recording.in_probings
     if (
@@ -546,11 +544,11 @@ def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
             "only, sweeps along the clamp's y axis; leave the others out of the recording, or sweep with a rod without bead"
         )
     if along.any():
-        return _with_probings(recording, along, method, model)
+        return _with_probings(recording, along, model)
     if model == "spatial":
         found = with_rig_errors(spatial_contacts(recording), recording)
         return replace(found, pose_error=found.pose_error + 2 * _deeper(found))
-    touched = contacts(recording, method)
+    touched = contacts(recording)
     hollow = recording.stated_hollow
     if hollow:  # its slices may contradict each other without any error
         found = without_second_contacts(on_surface(touched, recording, convex=False), recording)
@@ -559,19 +557,19 @@ def _reconstructed(recording: Recording, method: str, model: str) -> Cloud:
     by_rig = with_rig_errors(touched, recording)
     left = None if hollow else left_out(recording, by_rig)
     if left is not None and not left.too_many:
-        left, touched = _without_wild(recording, left, method)
+        left, touched = _without_wild(recording, left)
         part, kept = rest(recording, left)
-        known = _with_relative_error(part, with_rig_errors(touched, part), method)
-        return renumbered(_whole(touched, part, known, method).changed(left_out=lambda _: left), kept)
-    known = _with_relative_error(recording, by_rig, method)
-    found = _whole(touched, recording, known, method)
+        known = _with_relative_error(part, with_rig_errors(touched, part))
+        return renumbered(_whole(touched, part, known).changed(left_out=lambda _: left), kept)
+    known = _with_relative_error(recording, by_rig)
+    found = _whole(touched, recording, known)
     if left is None:
         return found
     explained = known is not recording and left_out(recording, found.fattened or found) is None
     return found if explained else found.changed(left_out=lambda _: left)
 
 
-def _with_probings(recording: Recording, along: Mask, method: str, model: str) -> Cloud:
+def _with_probings(recording: Recording, along: Mask, model: str) -> Cloud:
     """`_reconstructed` of a recording of which some rows (n,) are those of probings, and the others those of sweeps.
 
     A rod that probes is not bent in the plane of a sweep, so that all channels that were measured are read.
@@ -581,7 +579,7 @@ def _with_probings(recording: Recording, along: Mask, method: str, model: str) -
         part = of_rows(recording, number)
         with suppress(NoContactError):
             hollow = replace(part, source={**part.source, "convex": False})
-            swept = renumbered(_reconstructed(hollow, method, model), number)
+            swept = renumbered(_reconstructed(hollow, model), number)
     number = np.flatnonzero(along)
     try:
         part = of_rows(recording, number)
@@ -614,11 +612,11 @@ def _deeper(cloud: Cloud) -> float:
     return 0.0 if misfit is None else max(float((misfit.found - misfit.explained).max()) - 2 * cloud.pose_error, 0.0)
 
 
-def _without_wild(recording: Recording, left: LeftOut, method: str) -> tuple[LeftOut, Cloud]:
+def _without_wild(recording: Recording, left: LeftOut) -> tuple[LeftOut, Cloud]:
     """All rows to be left out, and the contacts of the others: a larger noise makes contacts of rows that were none."""
     for _ in range(_PASSES):
         part, kept = rest(recording, left)
-        touched = contacts(part, method)
+        touched = contacts(part)
         further = left_out(part, with_rig_errors(touched, part))
         if further is None or not len(further.rows):
             break
@@ -627,12 +625,12 @@ def _without_wild(recording: Recording, left: LeftOut, method: str) -> tuple[Lef
     return left, touched
 
 
-def _whole(touched: Cloud, recording: Recording, known: Recording, method: str) -> Cloud:
+def _whole(touched: Cloud, recording: Recording, known: Recording) -> Cloud:
     """The contacts, with normals, of the recording `known` with a relative error of the wrench; `touched` are those without."""
-    return on_surface(touched if known is recording else contacts(known, method), known)
+    return on_surface(touched if known is recording else contacts(known), known)
 
 
-def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Recording:
+def _with_relative_error(recording: Recording, cloud: Cloud) -> Recording:
     """The recording with the relative error of the wrench that its contacts, which are those of `cloud`, show.
 
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
@@ -644,7 +642,7 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):
         tried = replace(recording, rig=with_relative(recording.rig, relative))
-        needed, hidden = _relative_error(recording, with_rig_errors(contacts(tried, method), recording))
+        needed, hidden = _relative_error(recording, with_rig_errors(contacts(tried), recording))
         if needed <= relative < least:
             # what the noise may hide is allowed for as well
             largest = min(max(relative, hidden), LARGEST)

@@ -45,7 +45,7 @@ _FRICTION_ANGLE = float(np.arctan(0.5))
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 
 
-def model_of(recording: Recording, method: str = "closed-form", model: str | None = None) -> str:
+def model_of(recording: Recording, model: str | None = None) -> str:
     """The model by which a recording is read, 'planar' or 'spatial'; see `scan3d.reconstruct`.
 
     Raises InputError if the recording has not the axes that the model needs, and for sweeps in the spatial model of a body that
@@ -60,10 +60,6 @@ def model_of(recording: Recording, method: str = "closed-form", model: str | Non
         raise InputError(
             "in the spatial model bodies that are not convex are probed, not swept, and the recording states convex = false: "
             "choose the planar model"
-        )
-    if method != "closed-form":
-        raise InputError(
-            f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"
         )
     return "spatial"
 
@@ -90,7 +86,7 @@ def _in_plane(recording: Recording) -> tuple[tuple[Array, Array, Array, Array], 
     return (np.zeros(len(about)), force[:, 0], force[:, 1], about[:, 2]), recording.in_plane()
 
 
-def readings_in_plane(recording: Recording, method: str = "closed-form") -> PlaneReadings:
+def readings_in_plane(recording: Recording) -> PlaneReadings:
     """The contact of each row, which depends on no other rows."""
     rod, (columns, bent) = recording.rod, _in_plane(recording)
     noise = recording.noise.of_reactions(rod)
@@ -109,8 +105,6 @@ def readings_in_plane(recording: Recording, method: str = "closed-form") -> Plan
         reach = rod.diameter_m / 2 / rod.length_m / np.cos(np.nan_to_num(wide.friction_angle_bound))
         tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)
     found = wide.within(tolerance)
-    if method != "closed-form":
-        found = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
     return PlaneReadings(found, error, pressed, pressed & (found.phase != planar.Phase.NONE), tolerance)
 
 
@@ -125,7 +119,7 @@ def places_in_plane(
     return points, length**2 * in_world + pose**2 * np.eye(3)
 
 
-def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
+def contacts(recording: Recording) -> Cloud:
     """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
 
     Those of a thick rod are the contacts of its centre line with the body fattened by its radius.
@@ -134,18 +128,13 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     """
     rod, known = recording.rod, recording.noise
     noise, by_moment = known.of_reactions(rod), _by_moment(recording)
-    in_plane, error, pressed, touching, tolerance = readings_in_plane(recording, method)
+    in_plane, error, pressed, touching, tolerance = readings_in_plane(recording)
     radius = rod.diameter_m / 2
     light = too_light(error.largest, touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
-        told: dict[str, Any] = {"tolerance": tolerance, "friction": common}
-        columns, bent = _in_plane(recording)
-        if method == "closed-form":
-            in_plane = in_plane.within(**told)
-        else:
-            in_plane = planar.reconstruct(*columns, method=method, rod=bent, **told)
+        in_plane = in_plane.within(tolerance=tolerance, friction=common)
     rows = np.flatnonzero(touching)
     if not len(rows):
         raise NoContactError(
