@@ -83,7 +83,7 @@ def recorded(rod, seed=0, *, sweeps=30, samples=60, friction=0.2, nominal=ROD):
 
 def found_of(rod, seed=0, **more):
     recording = recorded(rod, seed, **more)
-    return recording, scan3d.calibrate(recording, sphere=rigs.DIAMETER)
+    return recording, scan3d.calibrate(recording, rigs.DIAMETER)
 
 
 def shape_errors(found, rod):
@@ -109,7 +109,7 @@ def test_a_tapered_and_curved_rod_is_found(tmp_path):
     rod = Shaped(tip=0.7, curvature=(-0.1, 0.05), noise=5e-4)
     recording = recorded(rod, sweeps=8, samples=20)
     # so few rows do not tell a shape from gains of half a per cent
-    found = scan3d.calibrate(recording, sphere=rigs.DIAMETER, accuracy=1e-3)
+    found = scan3d.calibrate(recording, rigs.DIAMETER, accuracy=1e-3)
     error, deviation = shape_errors(found, rod)
     assert np.abs(error[0]) < 0.03 * rod.tip
     assert np.abs(error[1:]).max() < 0.02

@@ -90,7 +90,7 @@ def test_the_contacts_are_those_of_the_whole_recording(rod, model, noise):
 @pytest.mark.slow
 def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording(tmp_path):
     raw = rigs.recorded(seed=1, samples=60)
-    calibration = scan3d.calibrate(raw, sphere=rigs.DIAMETER)
+    calibration = scan3d.calibrate(raw, rigs.DIAMETER)
     live = scan3d.Live(calibration, air_rows=5)
     # what hangs free shows zero and noise
     rng, wrench = np.random.default_rng(0), np.hstack(raw.wrench())

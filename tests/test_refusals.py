@@ -144,11 +144,10 @@ OF_SCAN3D = [
         ({"names": TWO, "covariance": [[1.0, 2.0], [2.0, 1.0]]}, r"without negative eigenvalues"),
     ]),
     (calibrated, [
-        ({"sphere": 0.0}, "needs a diameter above 0"),
+        ({"reference": 0.0}, "needs a diameter above 0"),
         ({"reference": "plain"}, "got 'plain'; the other reference is 'plane'"),
-        ({"reference": "plane", "sphere": 0.03}, "give either a reference or the diameter"),
-        ({"sphere": 1e297}, r"a diameter of 1e\+297 m, and the rod a length of 60 mm; check the unit"),
-        ({"sphere": 0.03, "tare": "cubic"}, "tare must be one of auto, constant, linear, sweep"),
+        ({"reference": 1e297}, r"a diameter of 1e\+297 m, and the rod a length of 60 mm; check the unit"),
+        ({"reference": 0.03, "tare": "cubic"}, "tare must be one of auto, constant, linear, sweep"),
     ]),
     (scan3d.touches, [
         ({"points": np.zeros((4, 2))}, "must have the shape"),

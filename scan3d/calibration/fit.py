@@ -592,7 +592,7 @@ _ALONG_ROD = np.array([0.0, 1.0, 0.0])
 
 def calibrated(
     recording: Recording,
-    reference: float | Literal["plane"] | None,
+    reference: float | Literal["plane"],
     tare: str = "auto",
     pose_noise_m: float | None = None,
     sensor: Sensor | None = None,

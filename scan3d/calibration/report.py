@@ -268,9 +268,8 @@ def _short(value: Any) -> str:
 @in_one_thread
 def calibrate(
     recording: Recording | str | os.PathLike[str],
-    reference: float | Literal["plane"] | None = None,
+    reference: float | Literal["plane"],
     *,
-    sphere: float | None = None,
     tare: Tare = "auto",
     pose_noise_m: float | None = None,
     accuracy: float | Sequence[float] | None = None,
@@ -279,8 +278,6 @@ def calibrate(
 
     reference
         the diameter of a sphere in m, or ``"plane"``.
-    sphere
-        the diameter of a sphere, in the place of `reference`.
     tare
         what the sensor shows in the air: ``constant``, ``linear`` (drifts steadily over the recording), ``sweep`` (a value
         for each sweep), or ``auto``: linear if the rows in the air allow it, else sweep.
@@ -295,8 +292,6 @@ def calibrate(
     The recording may be given as the path of its file.
     """
     recording = as_recording(recording)
-    if reference is not None and sphere is not None:
-        raise InputError("give either a reference or the diameter of a sphere")
     map_frames, stated = _map_frames(recording), accuracy
     if stated is None:
         stated = recording.source.get("map", {}).get("sensor", {}).get("accuracy")
@@ -305,7 +300,7 @@ def calibrate(
     if not recording.six_axis:  # channels that were not measured have no moment about other axes
         before = dataclasses.replace(before, position_m=before.position_m * [1, 1, 0])
     recording, sensor = _by_own_channels(recording, before), Sensor(deviations, before)
-    fit = calibrated(recording, sphere if reference is None else reference, tare, pose_noise_m, sensor)
+    fit = calibrated(recording, reference, tare, pose_noise_m, sensor)
     nominal, rig, noise, air, touches = recording.rod, fit.rig, fit.noise, fit.problem.air, fit.problem.touches
     estimated = pose_noise_m is None and not recording.noise_pose_m
     found = quantities(fit, rig, nominal, before)
