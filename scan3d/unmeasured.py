@@ -141,13 +141,9 @@ def parts(sweep: NDArray[np.int64], measured: Mask) -> NDArray[np.int64]:
     return found
 
 
-def sentences(
-    found: list[Gap],
-    count: int,
-    shown: Callable[[int, float], str],
-    names: tuple[str, ...],
-    where: Callable[[int], str],
-) -> tuple[str, ...]:
+def sentence(
+    gap: Gap, count: int, shown: Callable[[int, float], str], names: tuple[str, ...], where: Callable[[int], str]
+) -> str:
     """What was not measured of a log with `count` rows, in words.
 
     shown
@@ -157,12 +153,6 @@ def sentences(
     where
         the time or the number of a row.
     """
-    return tuple(_sentence(gap, count, shown, names, where) for gap in found)
-
-
-def _sentence(
-    gap: Gap, count: int, shown: Callable[[int, float], str], names: tuple[str, ...], where: Callable[[int], str]
-) -> str:
     rows = gap.rows
     name = "the wrench" if gap.channel < 0 else names[gap.channel]
     if gap.every:

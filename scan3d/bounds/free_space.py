@@ -222,7 +222,7 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
     second[1:-1][both] = np.linalg.norm(np.diff(end, 2, axis=0), axis=1)[both]
     bulge = np.fmax(second, np.append(second[1:], np.nan)) / 2
     alone = np.append(travel, 0.0) / 2
-    found = planes(recording, axes[:, 2], cloud.points.mean(axis=0) * unit, recording.noise.place_m)
+    found = planes(recording, axes[:, 2], cloud.points.mean(axis=0) * unit)
     # rows that gave no contact may have further planes, and those of contacts another order
     along = found.axis @ cloud.slice_axis.T
     apart = np.abs(np.sign(along) * found.height[:, None] / unit - cloud.slice_height)

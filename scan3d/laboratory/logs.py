@@ -26,7 +26,7 @@ from scan3d.laboratory.signals import roughly_air
 from scan3d.poses import MOVES, Move, measures
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
-from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentences
+from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentence
 
 if TYPE_CHECKING:
     from scan3d.laboratory.maps import Map, Orientation, Reference
@@ -88,6 +88,8 @@ def read_log(table: Table, map: Map) -> Log:
         raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")
     row = np.flatnonzero(kept)
     quaternion = _quaternions(table, map, orientation[row], row)
+    if columns.orientation.of == "world":
+        quaternion = quaternion * [1.0, -1.0, -1.0, -1.0]
     move = None if columns.move is None else table.words(_find(table, map, columns.move, "move")[0], MOVES)
     place, sweep, unmeasured = position[row], _sweeps(table, map, move), unmeasured[row]
     if (held := held_poses(place, quaternion, wrench[row], map.rod.length_m)) is not None:
@@ -185,7 +187,7 @@ def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -
     rows[known] = of_all((gap for gap in found if not gap.every), len(known))
     repeated[known] = of_all((gap for gap in found if gap.every), len(known))
     at = (lambda k: f"row {known[k] + 1}") if time is None else (lambda k: f"{time[known[k]]:.1f} s")
-    return rows, repeated, sentences(found, len(known), shown.words, shown.names, at)
+    return rows, repeated, tuple(sentence(gap, len(known), shown.words, shown.names, at) for gap in found)
 
 
 def _of_poses(held: Held, time: Array | None) -> tuple[str, ...]:
@@ -292,13 +294,7 @@ def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
 
 
 def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) -> Array:
-    """Unit quaternions (n, 4), w first, of the orientation's columns (n, k) in rows (n,) of the table."""
-    turns = _turns(table, map, values, row)
-    return turns * [1.0, -1.0, -1.0, -1.0] if map.columns.orientation.of == "world" else turns
-
-
-def _turns(table: Table, map: Map, values: Array, row: NDArray[np.int64]) -> Array:
-    """`_quaternions` as they are logged, of the clamp in the world or of the world in the clamp's frame."""
+    """Unit quaternions (n, 4), w first, of the orientation's columns (n, k) in rows (n,) of the table, as they are logged."""
     orientation = map.columns.orientation
     if orientation.kind == "euler":
         return np.asarray(Rotation.from_euler(orientation.convention, values).as_quat(scalar_first=True))

@@ -26,7 +26,7 @@ from scan3d.reconstruction.errors import LARGEST_TOLERANCE, contact_tolerance
 from scan3d.recording import FORCE, FORCE_SIGMAS, IN_PLANE, REACTIONS, Known, rounding_sd, together
 from scan3d.rods import Rod
 from scan3d.units import number
-from scan3d.unmeasured import gaps, of_all, sentences
+from scan3d.unmeasured import gaps, of_all, sentence
 
 COLUMNS = ("x0", "f0x", "f0y", "m0z")
 """Base position and support reactions in rod lengths, EI/L² and EI/L."""
@@ -323,7 +323,8 @@ def _unmeasured(sweep: OneSweep, felt: Mask) -> tuple[Mask, tuple[str, ...]]:
     names = tuple(name for name, column in columns.items() if column is not None)
     found = gaps(values[known], ~felt[known], sweep.x0[known, None])
     rows[known] = of_all(found, len(known))
-    return rows, sentences(found, len(known), lambda _, value: number(value), names, lambda k: f"row {known[k] + 1}")
+    shown, at = (lambda _, value: number(value)), (lambda k: f"row {known[k] + 1}")
+    return rows, tuple(sentence(gap, len(known), shown, names, at) for gap in found)
 
 
 def _kept(values: Array, rows: Mask) -> Array:

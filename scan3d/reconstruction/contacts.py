@@ -144,7 +144,7 @@ def contacts(recording: Recording) -> Cloud:
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
     points, covariance = places_in_plane(recording, in_plane, error, rows)
-    slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
+    slices = planes(recording, axes[:, 2], points.mean(axis=0))
     pose, length = known.pose_m / scale, rod.length_m / scale
     place_sd = np.hypot(length * error.largest[rows], pose)
     noisy = max(*noise, pose) > 0 or by_moment is not None

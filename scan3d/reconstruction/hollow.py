@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import planar
+from planar.arrays import rows_of
 from scan3d.arrays import Array, Index, Mask, ratio
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.errors import SIGMAS, contact_tolerance, felt, tip_tolerance
@@ -81,7 +82,7 @@ class _Rows:
     def friction(self) -> float:
         """The coefficient that the contacts agree on; NaN where they do not."""
         rows = np.flatnonzero(self.touching)
-        return float(np.tan(planar.constant_friction_angle(_of(self.found, rows), _of_errors(self.errors, rows))))
+        return float(np.tan(planar.constant_friction_angle(_of(self.found, rows), rows_of(self.errors, rows))))
 
     def refused(self, friction: float) -> Mask:
         """(n,) contacts that are not those of single ones by friction and path."""
@@ -90,7 +91,7 @@ class _Rows:
             rows = sweep[self.touching[sweep]]
             if len(rows):
                 # without a friction that the contacts agree on this is NaN, and nothing is told by it
-                found, errors = _of(self.found, rows), _of_errors(self.errors, rows)
+                found, errors = _of(self.found, rows), rows_of(self.errors, rows)
                 columns = (column[rows] for column in self.columns)
                 refused[rows] = planar.second_contacts(*columns, contacts=found, friction=friction, errors=errors)
         return refused
@@ -194,7 +195,7 @@ class _Rows:
                         moment,
                         _of(self.found, some),
                         self._of_sweep(points, some, plane),
-                        errors=_of_errors(self.errors, some),
+                        errors=rows_of(self.errors, some),
                         covariance=back @ spread @ back.T,
                     )
         return found
@@ -233,10 +234,6 @@ def _cover(pairs: Index, pressed: Mask) -> Mask:
 
 def _of(found: planar.Contacts, rows: Index) -> planar.Contacts:
     return replace(found, **{column.name: getattr(found, column.name)[rows] for column in fields(found)})
-
-
-def _of_errors(errors: planar.Errors, rows: Index) -> planar.Errors:
-    return planar.Errors(*(column[rows] for column in errors))
 
 
 def _estimated_normals(cloud: Cloud) -> Array:

@@ -16,7 +16,7 @@ from scan3d.reconstruction.contacts import renumbered
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import ACROSS, CHANNELS, FORCE, IN_PLANE, REACTIONS, Recording, of_rows
 from scan3d.units import force, moment
-from scan3d.unmeasured import Held, gaps, held_poses, of_all, parts, sentences
+from scan3d.unmeasured import Held, gaps, held_poses, of_all, parts, sentence
 
 
 def unmeasured(recording: Recording) -> Unmeasured | None:
@@ -41,7 +41,7 @@ def unmeasured(recording: Recording) -> Unmeasured | None:
     def shown(channel: int, value: float) -> str:
         return force(value) if names[channel].startswith("f") else moment(value)
 
-    said = sentences(found, len(recording), shown, names, lambda row: f"row {row + 1}")
+    said = tuple(sentence(gap, len(recording), shown, names, lambda row: f"row {row + 1}") for gap in found)
     held = held_poses(recording.position_m, recording.quaternion, values, recording.rod.length_m)
     if held is not None:
         rows[held.stale] = True

@@ -66,13 +66,11 @@ class Planes(NamedTuple):
         return inside / np.linalg.norm(inside, axis=1, keepdims=True)
 
 
-def planes(recording: Recording, normals: Array, centre: Array, digits: float) -> Planes:
+def planes(recording: Recording, normals: Array, centre: Array) -> Planes:
     """The slices of a recording whose rows bend the rod in planes with unit normals (n, 3).
 
     centre
         (3,) a place amid the contacts, in metres, over which the heights of tilted planes are compared.
-    digits
-        largest error of a contact's place by the digits of the poses, in metres.
 
     Raises InputError if a row's plane lies across its slice.
     """
@@ -86,7 +84,7 @@ def planes(recording: Recording, normals: Array, centre: Array, digits: float) -
             "choose the spatial model if the sensor measures six axes"
         )
     slope, length = _slope(normals, axis[number]), recording.rod.length_m
-    if slope * length <= digits + SAME_HEIGHT * length:
+    if slope * length <= recording.noise.place_m + SAME_HEIGHT * length:
         return Planes(number, axis, height, None)
     # tilted sweeps lie in one slice if their planes meet near the middle of the contacts
     number, axis, height = slices_of(recording, normals, centre, slope * 0.2 * length)
