@@ -150,6 +150,8 @@ class Cloud(Shown, Exported):
     """Number of contacts left out because the rod touched too lightly for the noise."""
     convex: bool = True
     """Whether the body counts as convex: unless its recording states that it is not, and its contacts accord with that."""
+    of_sweeps: Cloud | None = None
+    """Of sweeps and probings: the contacts of the sweeps by themselves, which may accord with a convex body."""
     second: int = 0
     """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
     left_out: LeftOut | None = None
@@ -270,8 +272,9 @@ class Cloud(Shown, Exported):
 
     def changed(self, **columns: Callable[[Cloud], Any]) -> Cloud:
         """The cloud with other columns, which are made of it; those of the `fattened` one are made of that."""
-        fattened = None if self.fattened is None else self.fattened.changed(**columns)
-        return replace(self, **{name: made(self) for name, made in columns.items()}, fattened=fattened)
+        parts = {name: getattr(self, name) for name in ("fattened", "of_sweeps")}
+        parts = {name: part and part.changed(**columns) for name, part in parts.items()}
+        return replace(self, **{name: made(self) for name, made in columns.items()}, **parts)
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""

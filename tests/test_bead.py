@@ -249,3 +249,13 @@ def test_a_scan_takes_a_bead():
     recording = scan3d.simulate(trimesh.creation.icosphere(1, radius=12.0), chosen.plan())
     assert recording.in_probings.all()
     assert recording.rod.bead_diameter_m == pytest.approx(3e-3)
+
+
+def test_what_is_probed_by_a_thick_rod_bounds_the_body_that_is_grown_by_it(coarse):
+    """Its contacts are off by its radius: taken as exact they certified 2.7 mm of a sphere's 3.0."""
+    mesh = trimesh.creation.torus(10, 4, major_sections=96, minor_sections=48)
+    recording = scan3d.simulate(mesh, scan3d.Plan(model="spatial", probing="only"))
+    recording = replace(recording, rod=replace(recording.rod, diameter_m=1e-3))
+    found = reach(recording, scan3d.reconstruct(recording), 3.5)
+    assert np.isinf(found.bound)
+    assert "grown by the rod's radius" in found.unbounded

@@ -10,7 +10,7 @@ import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import _area, _clipped, _covered, slices_of, unproven
-from scan3d.recording import of_rows
+from scan3d.recording import joined, of_rows
 from scan3d.report import report, summary
 from scan3d.surfaces import enclosure
 
@@ -133,3 +133,26 @@ def test_clipping_and_covering_against_a_grid(seed):
         uncovered = (inside & ~covered).mean() * 36
         if uncovered > 0.05 or uncovered == 0:
             assert _covered(polygon, areas) == (uncovered == 0)
+
+
+def test_a_slice_that_curved_rods_pass_beside_proves_nothing():
+    """Rods bent away from a spindle lie beside it in a slice that straight ones would sweep: 3.25 mm were certified of 31."""
+    spindle = trimesh.creation.icosphere(4)
+    spindle.apply_scale([3, 3, 40])
+    rod = scan3d.Rod(0.06, 1e-3, curvature_per_m=-5.0)
+    scanned = scan3d.simulate(spindle, scan3d.Plan(rod=rod, slices=16, spacing="uniform", friction=0.2, sweeps=6))
+    below = of_rows(scanned, scanned.position_m[:, 2] < 0.009)
+    nothing = of_rows(below, np.arange(200))
+    x = np.linspace(3.6e-3, -3.6e-3, 200)
+    empty = dataclasses.replace(
+        nothing,
+        sweep=np.full(200, 9999),
+        position_m=np.column_stack([x, np.full(200, -0.054), np.full(200, 0.012)]),
+        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)),
+        force_N=np.zeros((200, 2)),
+        moment_Nm=np.zeros(200),
+    )
+    for curved in (True, False):
+        made = joined([below, empty])
+        made = made if curved else dataclasses.replace(made, rod=scan3d.Rod(0.06, 1e-3))
+        assert (contacts(made).unresolved is not None) == curved

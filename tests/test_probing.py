@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from small_scans import ring
 
 import planar
 import scan3d
@@ -19,6 +20,7 @@ from scan3d.pipeline import analyse
 from scan3d.planning.probing import Probings, Unknown
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move
+from scan3d.reconstruction import checked
 from scan3d.reconstruction.probings import free_lines
 from scan3d.recording import joined, of_rows
 from scan3d.report import report, summary
@@ -494,3 +496,48 @@ def test_what_is_known_is_not_told_of_a_surface_by_another_method():
         heading, rows = summary(report(analyse(recording, body, method=method), settings={}))
         assert ("of the surface touched" in heading) == told
         assert told or "off the surface" not in dict(rows)
+
+
+def test_sweeps_that_contradict_themselves_do_so_beside_probings():
+    recording = ring().recording
+    wrong = replace(recording, moment_Nm=1.1 * recording.moment_Nm)
+    swept = of_rows(wrong, ~wrong.in_probings)
+    codes = [
+        [found.code for found in checked(each, scan3d.reconstruct(each)).contradictions] for each in (swept, wrong)
+    ]
+    assert codes[0] == codes[1] != []
+
+
+def test_the_end_of_a_thick_rod_touches_somewhere_on_it():
+    recording = ring().recording
+    thick = replace(recording, rod=replace(recording.rod, diameter_m=4e-4))
+    cloud = scan3d.reconstruct(thick)
+    assert cloud.lever == pytest.approx(0.2)
+    assert len(cloud.fattened) == len(cloud)
+    assert analyse(thick).surface.is_watertight
+
+
+@pytest.mark.parametrize("digits", [12, 14])
+def test_errors_of_few_digits_are_those_of_sweeps_and_of_probings(digits):
+    recording = ring().recording
+    rounded = replace(
+        recording, force_N=np.round(recording.force_N, digits), moment_Nm=np.round(recording.moment_Nm, digits)
+    )
+    cloud = scan3d.reconstruct(rounded)
+    assert np.isfinite(cloud.place_sd).all()
+    assert np.isfinite(cloud.noise)
+
+
+@pytest.mark.slow
+def test_sweeps_and_probings_of_six_axes_have_a_surface():
+    mesh = trimesh.creation.icosphere(3, 10.0)
+    swept = scan3d.simulate(mesh, scan3d.Plan(model="spatial", slices=6, samples=20))
+    probed = scan3d.simulate(mesh, scan3d.Plan(model="spatial", slices=2, probing="only", rod=swept.rod))
+    both = replace(joined([swept, replace(probed, rod=swept.rod)]), source={})
+    assert analyse(both).surface.is_watertight
+
+
+@pytest.mark.slow
+def test_bodies_that_are_not_convex_are_probed_whatever_the_planes():
+    plan = scan3d.Plan(slices=8, samples=16, axis="free", spacing="adaptive", known=0.3)
+    assert scan3d.simulate(trimesh.creation.torus(10.0, 4.0, 24, 12), plan).in_probings.any()

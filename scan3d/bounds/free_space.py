@@ -234,7 +234,7 @@ def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
 def passed_lines(recording: Recording, cloud: Cloud) -> Array:
     """(m, 2, 3) lines, in the cloud's unit, that rods of sweeps and of probings lay along; none of rods of unknown shape."""
     lines, swept = free_lines(recording, cloud), cloud.swept()
-    if not len(swept) or not recording.rod.is_simple:
+    if not len(swept) or not swept.in_slices or not recording.rod.is_simple:
         return lines
     number = np.flatnonzero(~recording.in_probings)
     rods = rods_of(of_rows(recording, number), with_rows(swept, number))

@@ -158,7 +158,7 @@ class Plan:
                 "a bead touches beside the rod's end, and nothing is known of sweeps with one: choose the spatial model, "
                 "with probing auto or only"
             )
-        self.stop_force_of(Rod.of_length(1.0))
+        self.stop_force_of(None)
         self.axes()
         for name in ("spacing", "axis", "tolerance") if self.model == "spatial" else ():
             value, default = getattr(self, name), getattr(type(self), name)
@@ -187,23 +187,26 @@ class Plan:
             raise InputError(f"friction must be a number >= 0, or a range of two such numbers, got {self.friction!r}")
         return float(ends[0]), float(ends[1])
 
-    def stop_force_of(self, rod: Rod) -> float:
-        """The force at which a probing ends, in EI/L² of a rod.  Raises InputError for what is no such force."""
+    def stop_force_of(self, rod: Rod | None) -> float:
+        """The force at which a probing ends, in EI/L² of a rod; in newtons it is judged when the rod is known.
+
+        Raises InputError for what is no such force.
+        """
         stands_out = FORCE_SIGMAS * self.noise
-        given = self.stop_force
-        if given == "auto":
-            return max(0.01, 2 * stands_out)
-        match = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*(\D.*)?", str(given).strip())
+        given, one = self.stop_force, 1.0 if rod is None else rod.force_unit_N
+        automatic = f"{max(0.01, 2 * stands_out)!r}"
+        match = re.fullmatch(
+            r"(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*(\D.*)?", automatic if given == "auto" else str(given).strip()
+        )
         value, unit = (float(match[1]), match[2]) if match else (0.0, None)
-        factor = FACTORS["force"].get(spelled(unit, "force") or "") if unit else rod.force_unit_N
+        factor = FACTORS["force"].get(spelled(unit, "force") or "") if unit else one
         if factor is None or not 0 < value < math.inf:
             raise InputError(
                 "stop_force must be auto, a force in EI/L² of the rod such as 0.01, or one with a unit such as 2mN; got "
                 f"{given!r}"
             )
-        found = value * factor / rod.force_unit_N
-        # in newtons it is judged when the rod is known
-        if unit is None and not stands_out < found <= LARGEST_STOP_FORCE:
+        found = value * factor / one
+        if (unit is None or rod is not None) and not stands_out < found <= LARGEST_STOP_FORCE:
             raise InputError(
                 f"stop_force must stand out of the noise, above {stands_out:.3g} EI/L², and be at most "
                 f"{LARGEST_STOP_FORCE:g} EI/L², far below what buckles the rod; got {given}"

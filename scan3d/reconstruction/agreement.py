@@ -128,7 +128,8 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         number = np.flatnonzero(~recording.in_probings)
         if cloud.probed.all():
             return Checked(_held(missing) + below_table(cloud), None)
-        recording, cloud = of_rows(recording, number), with_rows(cloud.swept(), number)
+        recording, swept = of_rows(recording, number), cloud.of_sweeps or cloud.swept()
+        cloud = with_rows(swept, number)
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
         cloud = with_rows(cloud, kept)
@@ -550,6 +551,11 @@ def _reconstructed(recording: Recording, model: str) -> Cloud:
         return replace(found, pose_error=found.pose_error + 2 * _deeper(found))
     touched = contacts(recording)
     hollow = recording.stated_hollow
+    if hollow and not recording.rod.without_thickness().is_simple:
+        raise InputError(
+            "sweeps of a body that is not convex are read by a straight, uniform, weightless rod in a rigid clamp only; probe "
+            "it with this one, or state convex = true under [source] if it is convex"
+        )
     if hollow:  # its slices may contradict each other without any error
         found = without_second_contacts(on_surface(touched, recording, convex=False), recording)
         if not found.convex:
@@ -578,8 +584,9 @@ def _with_probings(recording: Recording, along: Mask, model: str) -> Cloud:
     if len(number):
         part = of_rows(recording, number)
         with suppress(NoContactError):
-            hollow = replace(part, source={**part.source, "convex": False})
-            swept = renumbered(_reconstructed(hollow, model), number)
+            if part.rod.without_thickness().is_simple:
+                part = replace(part, source={**part.source, "convex": False})
+            swept = renumbered(_reconstructed(part, model), number)
     number = np.flatnonzero(along)
     try:
         part = of_rows(recording, number)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planar.arrays import rows_of
-from scan3d.arrays import ROUNDING, Array, Index, ranges
+from scan3d.arrays import Array, Index, ranges
 from scan3d.cloud import PER_CONTACT, Cloud
 from scan3d.errors import InputError
 from scan3d.reconstruction.contacts import at_rows
@@ -47,8 +47,8 @@ def contacts(recording: Recording, model: str) -> Cloud:
             "spatial model"
         )
     noise = recording.noise.of_reactions(rod)
-    touched = np.flatnonzero(felt(recording.pressing(six_axis), noise))
-    rows = np.sort(touched[np.unique(recording.sweep[touched], return_index=True)[1]])
+    pressed = np.flatnonzero(felt(recording.pressing(six_axis), noise))
+    rows = np.sort(pressed[np.unique(recording.sweep[pressed], return_index=True)[1]])
     nothing = NoContactError(
         f"the recording has no contact: none of its {len(recording)} rows has reactions of a rod that is touched at its end"
     )
@@ -74,13 +74,13 @@ def contacts(recording: Recording, model: str) -> Cloud:
     centres = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[:, alone].T, axes)
     points = centres - bead * length * np.einsum("ni,nij->nj", found.normal[alone], axes)
     pose = recording.noise.pose_m / scale
-    noisy = max(*noise, pose / length) > ROUNDING
+    noisy = max(*noise, pose / length) > 0
     of_centre, covariance = (
         length**2 * np.einsum("nij,nik,njl->nkl", part[alone], axes, axes) + pose**2 * np.eye(3)
         for part in (found.covariance, found.covariance + bead**2 * found.normal_covariance)
     )
     bead_sd, place_sd = (np.sqrt(np.linalg.eigvalsh(part)[:, 2]) for part in (of_centre, covariance))
-    return at_rows(
+    touched = at_rows(
         recording,
         rows,
         points,
@@ -98,6 +98,9 @@ def contacts(recording: Recording, model: str) -> Cloud:
         bead_centres=centres if bead else None,
         bead_sd=bead_sd if bead and noisy else None,
     )
+    # the end of a thick rod touches somewhere on it, as the rod's centre line touches the body that is fattened by it
+    thick = 0.0 if bead else float(rod.radius_m(np.ones(1))[0]) / scale
+    return replace(touched, rod_radius=thick, lever=thick, fattened=touched) if thick else touched
 
 
 class Passed(NamedTuple):
@@ -191,4 +194,9 @@ def with_probings(swept: Cloud | None, probed: Cloud) -> Cloud:
         calibration = RigErrors.joined([swept.calibration, probed.calibration], [n, m])
     noise = 0.0 if columns.get("place_sd") is None else float(np.median(columns["place_sd"]))
     second = swept.second + probed.second
-    return replace(swept, **columns, noise=noise, convex=False, second=second, calibration=calibration)
+    thick: dict[str, Any] = {}
+    if swept.fattened is not None or probed.fattened is not None:
+        thick["fattened"] = with_probings(swept.fattened or swept, probed.fattened or probed)
+        thick |= {name: max(getattr(swept, name), getattr(probed, name)) for name in ("rod_radius", "lever")}
+    joined = replace(swept, **columns, noise=noise, convex=False, second=second, calibration=calibration, **thick)
+    return replace(joined, of_sweeps=swept)

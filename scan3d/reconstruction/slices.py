@@ -31,6 +31,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
 from scan3d.recording import Recording
+from scan3d.rigs import axes_of
 from scan3d.units import UNITS_M
 from scan3d.unmeasured import SEVERAL
 
@@ -416,10 +417,14 @@ def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt
     found = np.zeros(len(cloud.slice_height), dtype=bool)
     filled = np.zeros(len(found), dtype=bool)
     filled[cloud.slice] = True
+    rows = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[rows], np.arange(len(found) + 1))
+    bent = recording.in_plane() if any(recording.rod.curvatures) or recording.rod.weight_N else None
     for stack in stacks(cloud):
         for k in np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS)):
             polygon = _section(stack, float(cloud.slice_height[k]))
-            found[k] = polygon is None or not _covered(polygon, _swept(recording, number == k, stack.frame, felt))
+            of_slice = rows[ends[k] : ends[k + 1]]
+            found[k] = polygon is None or not _covered(polygon, _swept(recording, of_slice, stack.frame, felt, bent))
     return found
 
 
@@ -444,18 +449,29 @@ def _section(stack: SliceStack, height: float) -> Array | None:
     return None
 
 
-def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[tuple[Array, Array]]:
-    """Rectangles that the straight rods of some rows sweep, as four normals (4, 2) and values (4,) in a slice's frame.
+def _swept(
+    recording: Recording, rows: Index, frame: Array, felt: float, bent: planar.Rod | None
+) -> list[tuple[Array, Array]]:
+    """Rectangles that the free rods of some rows sweep, as four normals (4, 2) and values (4,) in a slice's frame.
 
     Their lengths are in the unit of the recording; the sides at which a rod would be bent too little to be felt are left out,
-    and so is what lies between two rows that are much farther apart than others, where rows were lost.
+    and so is what lies between two rows that are much farther apart than others, where rows were lost.  A rod that is `bent`
+    where it is free lies aside of its clamp's axis, so that so much is left out as well.
     """
     scale = UNITS_M[recording.unit]
-    place, axes = recording.position_m[rows] @ frame[:2].T / scale, recording.axes()[rows]
+    place, axes = recording.position_m[rows] @ frame[:2].T / scale, axes_of(recording.quaternion[rows])
     length = recording.rod.length_m / scale
     areas = []
     for sweep in np.unique(recording.sweep[rows]):
         of_sweep = recording.sweep[rows] == sweep
+        aside, ahead = felt, 1.0
+        if bent is not None:
+            rod = bent.rows(rows[of_sweep][:1])
+            rod = replace(rod, gravity=rod.down[0]) if rod.down.ndim == 2 else rod
+            x, y = planar.elastic_lines(0.0, *planar.free_reactions(rod), rod=rod).curved[0].T
+            aside, ahead = felt + float(np.abs(x).max()), float(y[-1])
+            if not (np.diff(y) > 0).all():  # bent back
+                continue
         along = axes[of_sweep, 1].mean(axis=0) @ frame[:2].T
         along /= np.linalg.norm(along)
         across = np.array([-along[1], along[0]])
@@ -465,7 +481,7 @@ def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[
             np.flatnonzero(step > SEVERAL * np.median(step[step > 0])) + 1 if step.any() else np.empty(0, dtype=np.intp)
         )
         for part in np.split(side, lost):
-            values = base.min() + length, -base.max(), part[-1] - felt * length, -(part[0] + felt * length)
+            values = base.min() + ahead * length, -base.max(), part[-1] - aside * length, -(part[0] + aside * length)
             areas.append((np.stack([along, -along, across, -across]), np.array(values)))
     return areas
 

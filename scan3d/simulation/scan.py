@@ -140,7 +140,7 @@ def simulate_judged(mesh: Any, plan: Plan) -> Recording:
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
-    if plan.is_free and not plan.noise:
+    if plan.is_free and convex and not plan.noise:
         _scan_in_any_planes(scans, rod)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):

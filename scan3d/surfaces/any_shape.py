@@ -260,7 +260,7 @@ def with_estimated_normals(cloud: Cloud) -> Cloud:
 def _contours_bound(recording: Recording, cloud: Cloud) -> float:
     """That of the outer contours in the planes in which the rod was swept; infinite if there are none."""
     number, swept = np.flatnonzero(~recording.in_probings), cloud.swept()
-    if not len(swept):
+    if not len(swept) or not swept.in_slices:
         return np.inf
     part, swept = of_rows(recording, number), with_rows(swept, number)
     sheets = sheets_of(part, swept)

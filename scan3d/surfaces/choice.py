@@ -148,6 +148,11 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     of_kept, _ = _estimates(kept, None, has_edges)
     bent = next(iter(of_kept))
     errors = {bent: error_of_surface(of_kept.pop(bent)(), held_out)}
+    # where no normals are seen, a function may have points far out, which the hull of the fitted body shows
+    if fit is not None and not cloud.noisy:
+        assert cloud.fit is not None
+        shown = error_of_surface(fitted_body(cloud.fit), held_out)
+        fit = fit if shown.largest <= errors[bent].largest else None
     if fit is not None and not cloud.noisy and fit.judged <= errors[bent].judged:
         # the first estimate is that of bent bodies, and no other is better there
         return _fitted(cloud, lie_within(fit))
