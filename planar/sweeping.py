@@ -565,8 +565,8 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1, rod:
     """Events of the sweep of a rod along a convex contour with constant friction.
 
     In tip contact on a polygon the rod snaps around every corner; these snaps are small where the polygon is fine.  The `rod`
-    is by default the uniform one; a curved or heavy one may touch at a second place, which no event tells.  Raises ValueError
-    for such a rod, and as `planar.sweep` does.
+    is by default the uniform one.  Raises ValueError for a curved or heavy one, which may touch at a second place that no event
+    tells, and as `planar.sweep` does.
     """
     rod = as_rod(rod)
     if rod.curvature or rod.weight:

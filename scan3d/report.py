@@ -519,10 +519,10 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "to the mesh itself", _distance(distances["mesh_itself"], unit)
         if near := distances.get("reached"):
             part = share(near["max"] / data["comparison"]["diagonal"])
-            over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share'])} of the area"
+            over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share'])} of the true area"
             if near["in_cavities"]:
                 over += f"; {share(near['in_cavities'])} bounds closed cavities, where nothing from outside comes"
-            most = f"{length(near['max'], unit)} at most ({part} of the diagonal), at up to 20,000 places"
+            most = f"{length(near['max'], unit, up=True)} at most ({part} of the diagonal), at up to 20,000 places"
             yield "where touched", f"{most}; {over}"
     measured = next((one for one in data.get("measurands", ()) if one["quantity"] == "volume"), None)
     if measured and not data["warnings"] and all(map(is_finite, measured["interval"])):

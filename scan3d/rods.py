@@ -65,7 +65,9 @@ class Rod:
         if not (math.isfinite(self.bending_stiffness_Nm2) and self.bending_stiffness_Nm2 > 0):
             raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
         if not (math.isfinite(self.diameter_m) and 0 <= self.diameter_m < self.length_m):
-            raise InputError(f"a rod needs a diameter in metres from 0 to less than its length, got {self.diameter_m}")
+            raise InputError(
+                f"a rod's diameter is from 0 to less than its length, got {self.diameter_m:g} m and {self.length_m:g} m"
+            )
         # squares of others would not be numbers of a computer
         if not all(1e-100 < unit < 1e100 for unit in (*self._units(), self.length_m)):
             raise InputError(

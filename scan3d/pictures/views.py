@@ -516,7 +516,7 @@ def _by_touches(scene: Scene, frames: int) -> Iterator[_Stage]:
             color=color,
             rod=rod if samples else None,
             sample=samples - 1,
-            caption=f"{len(np.unique(so_far)):,} of {of_all:,} sweeps and probings",
+            caption=f"{len(np.unique(so_far)):,} of {of_all:,} sweeps and probings with contact",
         )
 
 
