@@ -24,13 +24,13 @@ constant and then told by the bulk of the tangential contacts.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import ROUNDING, Array, Index, Mask, checked_reactions, ratio
+from planar.arrays import BLOCK, ROUNDING, Array, Index, Mask, checked_reactions, ratio
 from planar.elastica import piece
 from planar.reconstruction import Contacts, Errors, reconstruct
 from planar.reconstruction import errors as errors_of
@@ -220,20 +220,41 @@ def drawn(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, s1: Arr
 
 def near(rods: Drawn, points: Array, within: float) -> Near:
     """The points (k, 2) within a distance of the rods."""
-    trees = [scipy.spatial.cKDTree(places) for places in (points, rods.point)]
     # what a rod turns by within its reach moves the foot's normal along, and the rod aside
     turned = rods.reach * np.abs(rods.kappa) + rods.reach**2 * (np.abs(rods.change).max(axis=1) + np.abs(rods.second))
     most = np.stack([rods.reach + within * turned, within + rods.reach * turned])
-    far = float(np.hypot(*most).max(initial=0.0))
-    pairs = trees[0].sparse_distance_matrix(trees[1], far, output_type="ndarray")
-    point, node = pairs["i"], pairs["j"]
+    far = np.hypot(*most)
+    # those that reach as far together, so that few points are looked at in vain, and not all in the memory at once
+    blocks, tree = np.array_split(np.argsort(far), len(far) // BLOCK + 1), scipy.spatial.cKDTree(points)
+    found = [
+        _near_places(rods, points, tree, nodes, most, float(far[nodes].max(initial=0.0)), within) for nodes in blocks
+    ]
+    point, node, u, off = (np.concatenate(column) for column in zip(*found, strict=True))
+    # of each pair the nearest expansion
+    pair = rods.row[node] * len(points) + point
+    order = np.lexsort((node, np.abs(u), pair))
+    order = order[np.diff(pair[order], prepend=-1) != 0]
+    row, point = np.divmod(pair[order], len(points))
+    return Near(row, point, rods.s[node[order]] + u[order], off[order])
+
+
+def _near_places(
+    rods: Drawn, points: Array, tree: Any, nodes: Index, most: Array, far: float, within: float
+) -> tuple[Index, Index, Array, Array]:
+    """Pairs (p,) of a point, which are in a tree, and one of some places of rods whose expansion comes within a distance of it,
+    with the way along the rod from the place, and the distance.
+
+    Along and across the rod (2, n) at `most` so far from a place, and at most `far`.
+    """
+    pairs = tree.sparse_distance_matrix(scipy.spatial.cKDTree(rods.point[nodes]), far, output_type="ndarray")
+    point, node = pairs["i"], nodes[pairs["j"]]
     offset = np.take(points, point, axis=0) - np.take(rods.point, node, axis=0)
     cos, sin = np.take(rods.tangent, node, axis=0).T
     ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
     likely = (np.abs(ahead) <= np.take(most[0], node)) & (np.abs(left) <= np.take(most[1], node))
     point, node, ahead, left = (column[likely] for column in (point, node, ahead, left))
     kappa, second, reach, u = rods.kappa[node], rods.second[node], rods.reach[node], ahead
-    square = kappa * kappa
+    square, off = kappa * kappa, left
     for _ in range(2):  # towards the foot, on the series of place and slope in u
         change = rods.change[node, (u > 0).astype(np.intp)]
         turn = u * (kappa + u * (change / 2 + u * second / 6))
@@ -242,12 +263,7 @@ def near(rods: Drawn, points: Array, within: float) -> Near:
         cos, sin = np.cos(turn), np.sin(turn)
         u, off = u + beyond * cos + aside * sin, beyond * sin - aside * cos
     close = np.flatnonzero((np.abs(u) <= reach) & (np.abs(off) <= within))
-    # of each pair the nearest expansion
-    pair = rods.row[node[close]] * len(points) + point[close]
-    order = np.lexsort((np.abs(u[close]), pair))
-    order = order[np.diff(pair[order], prepend=-1) != 0]
-    row, point = np.divmod(pair[order], len(points))
-    return Near(row, point, rods.s[node[close[order]]] + u[close[order]], off[close[order]])
+    return point[close], node[close], u[close], off[close]
 
 
 def passed(
