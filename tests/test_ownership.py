@@ -170,7 +170,8 @@ def test_an_export_replaces_an_earlier_one_and_nothing_else(folder, ending):
     is_bare = ending in (".xyz", ".xyzn")
     export("other", to, what, unit=None if ending == ".glb" else "m", overwrite=is_bare or ending == ".csv")
     assert ending == ".glb" or to.read_bytes() != first
-    for foreign in (b"", b"ply\ncomment a surface\n", b"0.5 1.5 2.5\n", b"x_m,y_m,z_m,fx_N\n"):
+    touches = b"x_mm,y_mm,z_mm,nx,ny,nz\n1,2,3,0,0,1\n"
+    for foreign in (b"", b"ply\ncomment a surface\n", b"0.5 1.5 2.5\n", b"x_m,y_m,z_m,fx_N\n", touches):
         to.write_bytes(foreign)
         with pytest.raises(scan3d.InputError, match=FOREIGN):
             export(folder, to, what)

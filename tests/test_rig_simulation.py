@@ -312,7 +312,7 @@ def test_a_log_with_faults_has_a_map_of_what_is_known(rig_folder):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(rig_folder, tmp_path):
+def test_the_same_seed_gives_the_same_bytes(rig_folder, tmp_path, capsys):
     run = ["simulate", str(EGG), "--poses", str(rig_folder / "poses.csv"), "--quiet", "--faults"]
     assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     for name in ("raw.csv", "raw_map.toml"):
@@ -320,11 +320,16 @@ def test_the_same_seed_gives_the_same_bytes(rig_folder, tmp_path):
     completed = (tmp_path / "raw_map.toml").read_text() + "# by hand\n"
     (tmp_path / "raw_map.toml").write_text(completed)
     (tmp_path / "other.toml").write_text(FAULTS.replace("seed = 3", "seed = 4"))
+    # what may be a rig's own log is not replaced, and the map that was completed stays for another one
+    assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 1
+    assert "raw.csv can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
+    (tmp_path / "raw.csv").unlink()
     assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     assert (tmp_path / "raw.csv").read_bytes() != (rig_folder / "raw.csv").read_bytes()
     assert (tmp_path / "raw_map.toml").read_text() == completed
     # the command line takes precedence over the file, for the faults as well
     other = (tmp_path / "raw.csv").read_bytes()
+    (tmp_path / "raw.csv").unlink()
     assert main([*run, str(rig_folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0
     assert (tmp_path / "raw.csv").read_bytes() == other
 

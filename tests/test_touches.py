@@ -333,15 +333,24 @@ def test_touches_where_next_says_bound_a_body_better_than_others(tmp_path, capsy
     for _ in range(4):
         np.savetxt(tmp_path / "t.csv", np.hstack([points, normals]), "%.17g", ",", header=columns, comments="")
         assert main(["surface", str(tmp_path / "t.csv"), "--out", str(out), "--quiet", "--overwrite"]) == 0
-        assert main(["next", str(out), "--out", str(places), "--sweeps", "20", "--quiet"]) == 0
+        assert main(["next", str(out), "--out", str(places), "--sweeps", "20", "--quiet", "--overwrite"]) == 0
         aimed = read_points(places)
         assert aimed.unit == "mm"
         found = crossed(mesh, aimed.stacked(("x", "y", "z")), aimed.stacked(("nx", "ny", "nz")))
         points, normals = np.vstack([points, found[0]]), np.vstack([normals, found[1]])
     others = touched(mesh, len(points), 1)
     assert enclosure(scan3d.touches(points, normals)).bound < 0.6 * enclosure(scan3d.touches(*others)).bound
-    assert main(["next", str(out), "--out", str(places), "--tolerance", "1", "--quiet"]) == 0
+    aim = ["next", str(out), "--tolerance", "1", "--quiet"]
+    assert main([*aim, "--out", str(places), "--overwrite"]) == 0
     assert places.read_text() == columns + "\n"
+    assert main([*aim, "--out", str(places)]) == 0  # it would be the same
+    # neither touches with the same columns nor those of the result are replaced
+    places.write_text(f"{columns}\n1,2,3,0,0,1\n")
+    for path, given, sentence in ((places, (), "give --overwrite"), (tmp_path / "t.csv", ("--overwrite",), "never")):
+        before = path.read_bytes()
+        assert main([*aim, "--out", str(path), *given]) == 1
+        assert sentence in capsys.readouterr().err
+        assert path.read_bytes() == before
     assert main(["next", str(out), "--out", str(places), "--around", "cylinder:9x9"]) == 2
     assert "no clamp" in capsys.readouterr().err
     np.savetxt(tmp_path / "t.csv", points, "%.17g", ",", header="x,y,z", comments="")

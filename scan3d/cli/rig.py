@@ -243,7 +243,7 @@ def _further_places(
     import numpy as np
 
     from scan3d.files.text import rows_as_text
-    from scan3d.files.whole import check_file, write_together
+    from scan3d.files.whole import check_file, sha256, write_together
     from scan3d.planning.plan import open_places
     from scan3d.results import open
 
@@ -266,7 +266,14 @@ def _further_places(
         places, normals = open_places(cloud.points[known], cloud.normals[known], count)
     names = ",".join([f"{axis}_{cloud.unit}" for axis in "xyz"] + ["nx", "ny", "nz"])
     data = f"{names}\n".encode() + rows_as_text([*places.T, *normals.T]).replace(b"nan", b"")
-    check_file(out, {"touches": folder / "cloud.ply"}, overwrite, "--out", data)
+    # the touches of the result, whose paths the report does not have, are known by their hashes
+    source = report.get("source") or {}
+    touched = {one.get("sha256") for one in (source, *source.get("further", ()))}
+    inputs = {
+        "cloud": folder / "cloud.ply",
+        "file of touches": out if out.is_file() and sha256(out) in touched else None,
+    }
+    check_file(out, inputs, overwrite, "--out", data)
     write_together(out, {out.name: data})
     found = {"places": str(out), "count": len(places), "relative_bound": relative, "tolerance": tolerance}
     return print_result(output, found, f"{len(places)} places to touch next, written to {printable(str(out))}")
@@ -294,7 +301,7 @@ def simulate_rig(
 ) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.recordings import RAW_COLUMNS, check_path, map_path, read_poses, sidecar
+    from scan3d.files.recordings import check_path, map_path, read_poses, sidecar
     from scan3d.files.text import read_section
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
@@ -308,7 +315,7 @@ def simulate_rig(
     inputs |= {"TOML file of the poses": sidecar(poses_file), "file of settings": options.config}
     mapped = map_path(out).exists() and not overwrite  # a map is there to be completed by hand
     if faults_file:
-        check_file(out, inputs, overwrite, "--out", ",".join(RAW_COLUMNS).encode())
+        check_file(out, inputs, overwrite, "--out")
     else:
         check_pair(out, sidecar(out), inputs, overwrite)
     if placed:

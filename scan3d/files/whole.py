@@ -49,6 +49,8 @@ Inputs = Mapping[str, str | os.PathLike[str] | None]
 
 # The folder whose files are complete and to be moved, and the beginning of the names of what is being written.
 _COMPLETE, _WORK = ".scan3d-complete", ".scan3d-work"
+# The column by which a CSV of contacts is recognised: touches, curves and logs of rigs have columns that users write too.
+_OWN_COLUMN = b"normal_source"
 _ASK = "give --overwrite (overwrite=True) to replace it, or choose another place with"
 
 
@@ -477,12 +479,14 @@ def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, c
 
 
 def _is_ours(path: Path, contents: bytes) -> bool:
-    """Whether a file bears the name of the program at its beginning or its end; CSV, which has no place for it, its columns."""
+    """Whether a file bears the name of the program at its beginning or its end; CSV, which has no place for it, the header of
+    the contents, with a column that only the program writes."""
     looked_at = 4096  # bytes at each end, which are more than headers have
     with open(path, "rb") as file:
         begin = file.read(looked_at)
         if path.suffix.lower() == ".csv":
-            return begin.split(b",")[:4] == contents.split(b",", 4)[:4]
+            header = contents.split(b"\n", 1)[0]
+            return _OWN_COLUMN in header.split(b",") and begin.split(b"\n", 1)[0] == header
         file.seek(max(len(begin), os.path.getsize(path) - looked_at))
         return b"scan3d" in begin + file.read(looked_at)
 
