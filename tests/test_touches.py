@@ -2,6 +2,7 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 import trimesh
@@ -185,7 +186,8 @@ def test_exported_contacts_are_read_as_touches(ending, tmp_path):
         export(tmp_path / "a.ply", tmp_path / f"m{ending}", unit="m")
         assert scan3d.touches(tmp_path / f"m{ending}").covariance == pytest.approx(1e-4 * covariance, abs=1e-9)
         assert again.normal_sd == pytest.approx(np.full(100, 0.02))
-    if ending not in (".xyzn", ".mat"):
+    if ending != ".xyzn":
+        assert scan3d.touches(path).unit == "cm"
         with pytest.raises(scan3d.InputError, match="is in cm"):
             scan3d.touches(path, unit="mm")
 
@@ -218,6 +220,13 @@ def test_arrays_are_read_as_touches(tmp_path):
         found = read_points(tmp_path / name)
         assert list(found.columns) == ["x", "y", "z", "nx", "ny", "nz"][:known]
         assert np.array_equal(found.stacked(("x", "y", "z")), points)
+    with h5py.File(tmp_path / "v73.mat", "w", userblock_size=512) as file:
+        file["points"] = points.T
+        file["unit"] = np.array([[ord("c")], [ord("m")]], dtype=np.uint16)
+        file["unit"].attrs["MATLAB_class"] = np.bytes_("char")
+    with open(tmp_path / "v73.mat", "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+    assert read_points(tmp_path / "v73.mat").unit == "cm"
     np.savez(tmp_path / "other.npz", a=points[:, 0], b=points[:, 1], c=points[:, 2])
     with pytest.raises(scan3d.InputError, match=r"other\.npz has no column x, y or z"):
         read_points(tmp_path / "other.npz")

@@ -186,9 +186,7 @@ def _npy(name: str, file: Any, load: Callable[[], NDArray[Any]]) -> _Stored:
 def _matlab(path: Path, opened: ExitStack) -> Iterator[_Stored]:
     from scipy.io import loadmat, whosmat
 
-    with open(path, "rb") as file:
-        is_hdf5 = file.read(20).startswith(b"MATLAB 7.3")
-    if is_hdf5:
+    if _is_hdf5(path):
         yield from (one.turned() for one in _hdf5(path, opened))  # as MATLAB has its axes
         return
     _check_size(path, _unpacked(path))
@@ -198,6 +196,39 @@ def _matlab(path: Path, opened: ExitStack) -> Iterator[_Stored]:
     # numbers may be stored in fewer bytes than they need
     _check_size(path, 8 * sum(math.prod(map(float, shape)) for _, shape, _ in variables))
     yield from _flat("", loadmat(path, simplify_cells=True))
+
+
+def stated_text(path: Path, name: str) -> str:
+    """A text by its name in a file of MATLAB, as that of the unit in a cloud; empty if there is none, and for other files.
+
+    Raises InputError as `read_columns`, and OSError.
+    """
+    if path.suffix.lower() != ".mat":
+        return ""
+    from scipy.io import loadmat
+
+    with _errors_named(path):
+        if not _is_hdf5(path):
+            value = loadmat(path, variable_names=[name], simplify_cells=True).get(name)
+            return value if isinstance(value, str) else ""
+        with _h5py().File(path, "r") as file:
+            value = file.get(name)
+            is_text = value is not None and value.attrs.get("MATLAB_class") == b"char"
+            return "".join(map(chr, np.asarray(value).ravel())) if is_text else ""  # a text is numbers of UTF-16
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether a file of MATLAB is of its version 7.3."""
+    with open(path, "rb") as file:
+        return file.read(20).startswith(b"MATLAB 7.3")
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise InputError("HDF5 files, and those of MATLAB 7.3, need h5py: pip install 'scan3d[tables]'") from None
+    return h5py
 
 
 def _unpacked(path: Path) -> float:
@@ -228,10 +259,7 @@ def _flat(name: str, value: Any) -> Iterator[_Stored]:
 
 
 def _hdf5(path: Path, opened: ExitStack) -> Iterator[_Stored]:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError("HDF5 files, and those of MATLAB 7.3, need h5py: pip install 'scan3d[tables]'") from None
+    h5py = _h5py()
     found: list[_Stored] = []
 
     def take(name: str, item: Any) -> None:

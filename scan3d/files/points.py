@@ -18,7 +18,7 @@ from scan3d.choices import one_of
 from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
 from scan3d.files.columns import ENDINGS as ARRAYS
-from scan3d.files.columns import SHEETS, check_single
+from scan3d.files.columns import SHEETS, check_single, stated_text
 from scan3d.files.shapes import COVARIANCE, NORMAL, POINT, read_ply
 from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import check_readable
@@ -79,6 +79,7 @@ def read_points(path: str | Path) -> Points:
         columns, comments = _pcd(path)
     else:
         columns = _text(path)
+        comments = (f"unit {unit}",) if (unit := stated_text(path, "unit")) else ()
     return _named(path.name, columns, comments)
 
 
