@@ -18,7 +18,7 @@ import planar
 from scan3d.arrays import ROUNDING, Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import NoBodyError
 from scan3d.files.whole import SCHEMA
@@ -172,7 +172,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
     recording, cloud = analysis.recording, analysis.cloud
     off = {} if analysis.any_shape is None else {"off_surface": analysis.any_shape.off}
     if recording is None:
-        known = int(np.isfinite(cloud.normals).all(axis=1).sum())
+        known = int((cloud.normal_source == NormalSource.MEASURED).sum())  # others are estimated of the touches around
         return {"slices": 0, "sweeps": 0, "contacts": len(cloud), "with_normals": known, "light": 0, **off}
     slices = len(np.unique(cloud.slice[cloud.slice >= 0]))
     return {

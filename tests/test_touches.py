@@ -12,10 +12,13 @@ import scan3d
 from scan3d.bounds import certificate, enclosure
 from scan3d.bounds.planes import outer_body, planes_of_touches
 from scan3d.cli import main
+from scan3d.cloud import NormalSource
 from scan3d.files.points import read_points
 from scan3d.files.shapes import export
 from scan3d.geometry.hulls import hull
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.touches import contradictions
+from scan3d.report import report, summary
 from tests.robustness.everyday import EVERYDAY, mesh_of
 from tests.sample_bodies import MESHES, convex_hausdorff, random_body
 
@@ -101,6 +104,14 @@ def test_bodies_of_any_shape(name):
     assert surface.is_watertight
     assert surface.euler_number == EVERYDAY[name].euler
     assert scan3d.compare(surface, mesh).hausdorff < 0.05 * size
+
+
+@pytest.mark.slow
+def test_normals_that_were_estimated_do_not_count_as_measured():
+    points, normals = touched(trimesh.creation.torus(10, 4), 1000, 0)
+    normals[::4] = np.nan
+    found = report(analyse(scan3d.touches(points, normals)), settings={})
+    assert dict(summary(found)[1])["touches"] == "1000, 750 of them with normals"
 
 
 @pytest.mark.slow
@@ -190,6 +201,23 @@ def test_exported_contacts_are_read_as_touches(ending, tmp_path):
         assert scan3d.touches(path).unit == "cm"
         with pytest.raises(scan3d.InputError, match="is in cm"):
             scan3d.touches(path, unit="mm")
+
+
+@pytest.mark.parametrize("source", [NormalSource.UNKNOWN, NormalSource.SURFACE])
+def test_exact_touches_without_normals_stay_exact_in_files(source, tmp_path):
+    """Normals that are not known add no deviation; those that were estimated have one, with which they certify nothing."""
+    cloud = scan3d.touches(*touched(random_body(5), 200, 1))
+    cloud.normal_source[::2] = source
+    if source == NormalSource.UNKNOWN:
+        cloud.normals[::2] = np.nan
+    scan3d.save(cloud, tmp_path / "a.csv")
+    again = scan3d.touches(tmp_path / "a.csv")
+    assert np.isfinite(again.normals[::2]).all() == bool(source)
+    if source:
+        assert (again.normal_sd[::2] == np.pi).all()
+    else:
+        assert again.place_sd is None
+        assert again.normal_sd is None
 
 
 @pytest.mark.parametrize(

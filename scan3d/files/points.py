@@ -141,7 +141,10 @@ def _named(file: str, columns: Mapping[str, NDArray[Any]], comments: tuple[str, 
     if len(stated) > 1:
         raise InputError(f"{file} states lengths in {' and '.join(sorted(stated))}; give all of them in one unit")
     # what a rod's contacts leave open of a normal, as its inclination to their slice, has no deviation
-    if (estimated := found.pop(_SOURCE, np.array(NormalSource.MEASURED)) != NormalSource.MEASURED).any():
+    source = found.pop(_SOURCE, np.array(NormalSource.MEASURED))
+    unknown = source == NormalSource.UNKNOWN
+    found |= {name: np.where(unknown, np.nan, found[name]) for name in NORMAL if name in found}
+    if (estimated := (source != NormalSource.MEASURED) & ~unknown).any():
         found["normal_sd"] = found.get("normal_sd", 0.0) + np.where(estimated, np.pi, 0.0)
     there = np.isfinite(np.stack([found[name] for name in POINT])).all(axis=0)
     return Points(
