@@ -266,9 +266,9 @@ def _bounded(
         if nothing or found is not None:
             bounds = bounding_nothing(bounds)
             certified = certificate(bounds, mesh)
-            if recording and found is not None and (reach or cloud.bead_radius):
+            if recording and found is not None and not nothing and (reach or cloud.bead_radius):
                 reached = within_reach(*as_measured(recording, cloud), reach, mesh)
-                certified = certified._replace(bound=np.inf if nothing else reached.bound)
+                certified = certified._replace(bound=reached.bound)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     if cloud.convex:
@@ -330,7 +330,8 @@ def _put(
             result.put(name, contents)
         comments = (f"unit {analysis.cloud.unit}",)
         result.put("cloud.ply", ply(cloud_table(analysis.cloud, analysis.contact_error), comments=comments))
-        bodies = {"outer": analysis.reach.outer, "inner": analysis.reach.inner} if analysis.reach else {}
+        proven = analysis.reach if analysis.reach and analysis.reach.refuted is None else None
+        bodies = {"outer": proven.outer, "inner": proven.inner} if proven else {}
         for name, body in ({"surface": analysis.surface} | bodies).items():
             if len(body.faces):
                 result.put(f"{name}.ply", ply(surface_table(body), body.faces, comments=comments))

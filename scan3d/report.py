@@ -76,7 +76,7 @@ class Analysis:
     any_shape: AnyShape | None = None
     """What is known of a body that is not convex, and where; None for a convex one."""
     reach: Reach | None = None
-    """What a stated finest feature bounds; None without one, and for convex bodies."""
+    """What a stated finest feature bounds; None without one, for convex bodies, and where nothing is certified."""
     warnings: tuple[Contradiction, ...] = ()
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
@@ -270,8 +270,9 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     reached, why, untested = analysis.reach, analysis.surface.metadata["reason"], _untested(analysis)
     if analysis.has_surface:
         why = "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else untested or missing(cloud)
+    untrusted = _contradicted(cloud.model) if analysis.warnings else untested
     left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
-    contours = np.inf if contours is not None and (analysis.warnings or untested) else contours
+    contours = np.inf if contours is not None and untrusted else contours
     parts = bounds.parts() | _off(cloud, bounds)
     assumed = premises(recording, cloud, {warning.code for warning in analysis.warnings})
     if reached is not None:
@@ -291,7 +292,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         and {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor},
         **({} if cloud.unmeasured is None else {"not_measured": list(cloud.unmeasured.words)}),
         "table": cloud.table,
-        **({} if analysis.any_shape is None else {"contours": {"bound": contours}, **_between(reached)}),
+        **({} if analysis.any_shape is None else {"contours": {"bound": contours}, **_between(reached, untrusted)}),
         "missing": why,
         "grown": grown if is_real and recording and not recording.rod.diameter_m else None,
         # without a bound neither it nor the volume has parts or ends
@@ -300,9 +301,12 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _between(reached: Reach | None) -> dict[str, Any]:
-    """The volumes of the outer body and between it and the inner one, why there is none, and where they are farthest apart."""
-    found, why = None, _NO_REACH
+def _between(reached: Reach | None, untrusted: str) -> dict[str, Any]:
+    """The volumes of the outer body and between it and the inner one, why there is none, and where they are farthest apart.
+
+    `untrusted` is why nothing is certified of the recording, whatever the reach; empty where something may be.
+    """
+    found, why = None, untrusted or _NO_REACH
     if reached is not None:
         found, why = reached.volume_between, reached.refuted or reached.unbounded or "the inner body is empty"
     return {

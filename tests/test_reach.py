@@ -1,6 +1,8 @@
 """Outer and inner bodies of bodies without fine features, against the Cassini oval turned about its axis."""
 
 import functools
+import json
+import os
 import re
 from dataclasses import replace
 
@@ -13,7 +15,7 @@ from scan3d.bounds import reach as module
 from scan3d.bounds.reach import reach
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
-from scan3d.pipeline import analyse
+from scan3d.pipeline import analyse, write
 from scan3d.reconstruction.contacts import contacts
 from scan3d.report import report, summary
 from tests.robustness.shot_rods import noisy
@@ -86,6 +88,22 @@ def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     without = report(replace(analysis, reach=None), settings={})["certificate"]
     assert without["volume_between"] is None
     assert "no reach is stated" in without["volume_between_missing"]
+
+
+def test_nothing_is_proven_by_a_reach_that_is_refuted_or_a_recording_that_is_contradicted(tmp_path, no_pictures):
+    recording = replace(peanut()[0], rod=peanut()[0].rod.without_thickness())
+    below = replace(recording, table_m=float(recording.position_m[:, 2].min()) + 3e-3)  # the table is above contacts
+    for name, given, R, why in (
+        ("refuted", recording, 12.0, "features finer than 12 mm"),
+        ("contradicted", below, 5.0, "the recording contradicts the model"),
+    ):
+        write(analyse(given, reach=R), tmp_path / name, settings={"method": "auto"})
+        certificate = json.loads((tmp_path / name / "report.json").read_text())["certificate"]
+        assert why in certificate["volume_between_missing"]
+        assert [certificate[key] for key in ("bound", "outer_volume", "volume_between")] == [None] * 3
+        # a refuted reach leaves the contours in the slices
+        assert certificate["confidence"] == (1.0 if name == "refuted" else None)
+        assert not {*os.listdir(tmp_path / name)} & {"outer.ply", "inner.ply"}
 
 
 def test_a_reach_that_the_waist_does_not_have_is_refuted():
