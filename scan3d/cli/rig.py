@@ -56,14 +56,14 @@ class Limits:
     floor
         height above which clamp and straight rod stay (default: 2 % of the bounding body's height, and two rod diameters)
     speed
-        of the clamp, per second
+        of the clamp, per second, in the unit of the body (default: 20 mm/s)
     """
 
     samples: Number = 128
     clearance: float = 0.3
     max_force: float | None = None
     floor: float | None = None
-    speed: float = 20.0
+    speed: float | None = None
 
     def of_plan(self) -> dict[str, Any]:
         """As `RigPlan` takes them."""

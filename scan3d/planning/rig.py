@@ -40,7 +40,7 @@ from scan3d.planning.plan import (
     positions,
 )
 from scan3d.planning.probing import Probings, Unknown
-from scan3d.poses import AWAY, Move, PoseList
+from scan3d.poses import AWAY, SPEED_M_S, Move, PoseList
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import UNITS_M
@@ -191,8 +191,8 @@ class RigPlan:
     """Largest contact force; sweeps keep as far away as it demands."""
     floor: float | None = None
     """Height above which clamp and rod stay; None: 2 % of the bounding body's height, at least two diameters of the rod."""
-    speed: float = 20.0
-    """Of the clamp, in units per second."""
+    speed: float | None = None
+    """Of the clamp, in units per second; None: 20 mm/s."""
     unit: str = "mm"
 
     def __post_init__(self) -> None:
@@ -326,7 +326,7 @@ def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
         quaternion=Rotation.from_matrix(np.swapaxes(axes, 1, 2)).as_quat(canonical=True, scalar_first=True),
         move=move.astype(np.int8),
         rod=plan.resolved_rod(),
-        speed_m_s=plan.speed * metres,
+        speed_m_s=SPEED_M_S if plan.speed is None else plan.speed * metres,
         model=plan.model,
         unit=plan.unit,
         source=source,
