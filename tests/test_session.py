@@ -113,15 +113,17 @@ def test_a_bounding_body_of_contacts(egg, batches):
         around_contacts(scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4)), "planar")
 
 
-def test_next_gives_poses_until_the_tolerance_is_met(rig_folder, tmp_path, capsys, no_pictures):
+def test_next_gives_poses_until_the_tolerance_is_met(egg, rig_folder, tmp_path, capsys, no_pictures):
     assert main(["reconstruct", str(rig_folder / "log.csv"), "--out", str(tmp_path / "first"), *HULL]) == 0
     run = ["next", str(tmp_path / "first"), "--out", str(tmp_path / "p.csv")]
     assert main([*run, "--json", "--samples", "40"]) == 0
     data = json.loads(capsys.readouterr().out)
     poses = read_poses(tmp_path / "p.csv")
     assert data["sweeps"] == len(poses.sweeps()) > 0
-    # the bounding body is that of the plan
+    # the bounding body is that of the plan, in the unit of the recording
     assert data["around"] == "cylinder:60x60"
+    in_m, planned = egg.copy().apply_scale(1e-3), read_poses(rig_folder / "poses.csv")
+    assert simulate_rig(in_m, planned, unit="m").source["around"] == "cylinder:0.06x0.06"
     assert poses.sweep.min() == 20
     # the rows of the next log go on the earlier one
     log = tmp_path / "log.csv"

@@ -83,6 +83,10 @@ class Envelope:
     def __str__(self) -> str:
         return f"{self.shape}:{'x'.join(f'{size:g}' for size in self.sizes)}"
 
+    def scaled(self, factor: float) -> Envelope:
+        """The same body in another unit of length."""
+        return Envelope(self.shape, tuple(factor * size for size in self.sizes))
+
     @property
     def height(self) -> float:
         """Of its top above z = 0."""

@@ -28,6 +28,7 @@ from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import check_body, check_convex, hull, is_convex
 from scan3d.planning.plan import Plan
 from scan3d.planning.probing import Probings
+from scan3d.planning.rig import parse_envelope
 from scan3d.poses import TABLE, Move, PoseList, measures
 from scan3d.recording import Recording, reaction_columns
 from scan3d.rigs import SHOWS, axes_of, check_positions, to_inner, turn_of
@@ -215,7 +216,9 @@ def simulate_rig(
     if not convex:
         source["convex"] = False
     if "around" in poses.source:
-        source["around"] = poses.source["around"]
+        stated = str(poses.source["around"])  # in the unit of the poses
+        scale = UNITS_M[poses.unit] / UNITS_M[unit]
+        source["around"] = stated if scale == 1 else str(parse_envelope(stated).scaled(scale))
     if "placed" in mesh.metadata:
         source["moved"] = mesh.metadata["placed"]
     table = TABLE if "placed" in mesh.metadata else None
