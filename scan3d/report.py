@@ -270,7 +270,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     reached, why, untested = analysis.reach, analysis.surface.metadata["reason"], _untested(analysis)
     if analysis.has_surface:
         why = "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else untested or missing(cloud)
-    untrusted = _contradicted(cloud.model) if analysis.warnings else untested
+    untrusted = contradicted(cloud.model) if analysis.warnings else untested
     left, contours = cloud.left_out, None if analysis.any_shape is None else analysis.any_shape.contours_bound
     contours = np.inf if contours is not None and untrusted else contours
     parts = bounds.parts() | _off(cloud, bounds)
@@ -362,7 +362,7 @@ def measurands(
     if not cloud.convex:
         reason = "the body is not convex"
     elif not bounds.confidence:
-        reason = "the rod's radius changes" if cloud.tapered else untested or _contradicted(cloud.model)
+        reason = "the rod's radius changes" if cloud.tapered else untested or contradicted(cloud.model)
     else:
         reason = "nothing bounds the body on some side"
 
@@ -573,7 +573,7 @@ def _of_certificate(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _certified(data: Mapping[str, Any]) -> str:
     certified, counts = data["certificate"], data["counts"]
     if data["warnings"]:
-        return f"nothing, because {_contradicted(data.get('model'))}: see the warnings"
+        return f"nothing, because {contradicted(data.get('model'))}: see the warnings"
     if not data["surface"]["method"]:
         return "nothing, as there is no surface"
     if is_finite(certified["bound"]):
@@ -623,7 +623,7 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
     if not data["surface"]["method"]:
         return "contacts, and neither surface nor certificate"
     if data["warnings"]:
-        return f"nothing certified: {_contradicted(data.get('model'))}"
+        return f"nothing certified: {contradicted(data.get('model'))}"
     # what is known is told of the surface between contacts and free space, and not of one by another method
     is_cut = "known" in coverage and data["surface"]["method"] == "cut"
     if is_cut and (data["counts"].get("probings") or data.get("model") == "touches"):
@@ -659,7 +659,7 @@ def _with_confidence(certified: Mapping[str, Any]) -> str:
     return f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
 
 
-def _contradicted(model: str | None) -> str:
+def contradicted(model: str | None) -> str:
     return "the touches contradict each other" if model == "touches" else "the recording contradicts the model"
 
 

@@ -27,7 +27,7 @@ from scan3d.reconstruction.agreement import BELOW_TABLE
 from scan3d.reconstruction.contacts import into_body
 from scan3d.reconstruction.slices import stacks
 from scan3d.recording import Recording, joined
-from scan3d.report import Analysis, touched
+from scan3d.report import Analysis, contradicted, touched
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.units import UNITS_M, length, share
@@ -169,6 +169,8 @@ class Session(Described):
     def known(self) -> str:
         """What is certified so far, in words."""
         found, unit = self._known, self.plan.unit
+        if why := contradicted(found.cloud.model) if found.warnings else self.recording.untested:
+            return f"nothing is certified: {why}"
         if found.any_shape is not None and found.cloud.probed is not None:
             return touched(found.any_shape.coverage, unit)
         if found.any_shape is not None:
@@ -189,8 +191,7 @@ class Session(Described):
         ]
         if not known:
             return [*rows, ("recordings", "none yet: sweep the poses of ask(), and tell() their recording")]
-        bound = "nothing" if self.warnings else self.known
-        return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", bound)]
+        return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", self.known)]
 
     @property
     def _known(self) -> Analysis:

@@ -196,6 +196,12 @@ def test_aims_point_at_the_widest_stretch(parts):
     assert near.origin @ direction == pytest.approx((letter_l().vertices[:, :2] @ direction).min() - 0.5)
 
 
+def sweeps_turned_round(recording):
+    """The rows (n,) of a recording, every second sweep backwards."""
+    time = np.arange(len(recording))
+    return np.lexsort((np.where(recording.sweep % 2, -time, time), recording.sweep))
+
+
 def test_a_session_probes_a_body_that_is_not_convex(parts):
     recording, _ = parts[0]
     moved = replace(recording, position_m=recording.position_m - np.array([1e-3, 1e-3, 0.0]))
@@ -203,6 +209,11 @@ def test_a_session_probes_a_body_that_is_not_convex(parts):
     session.tell(moved)
     assert "between them nothing" in session.known
     assert session.known in session.summary()[-1][1]
+    wrong = scan3d.Session("cylinder:2.9x0.6", recording.rod)
+    wrong.tell(of_rows(moved, sweeps_turned_round(moved)))
+    assert wrong.warnings
+    assert not wrong.cloud.convex
+    assert wrong.known == "nothing is certified: the recording contradicts the model"
     poses = session.ask(16)
     moves = poses.move[np.concatenate(poses.sweeps())]
     assert len(moves)
