@@ -9,6 +9,7 @@ import pytest
 from raw_tables import map_of
 
 from scan3d import InputError, Rod, import_table
+from scan3d.files.tables import guessed_layout, read_table
 from scan3d.files.text import to_toml
 from scan3d.laboratory.clocks import seconds
 from scan3d.laboratory.maps import guess_map, read_map
@@ -341,6 +342,27 @@ def test_files_of_labview(tmp_path, delimiter, decimal, comment, more):
     guess = guess_map(tmp_path / "log.csv")
     assert not {"time", "position", "orientation", "force", "moment"} & {*guess.open}
     assert 'time = "X_Value"' in guess.text
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "later"),
+    [
+        ("X0\t0.5", "X0\t9", 8.5),
+        ("Date\t2026/05/01\nTime\t23:59:58.25\nX0\t0", "Date\t2026/05/02\nTime\t00:00:01.5\nX0\t0", 3.25),
+        ("Date\t2026/13/01\nTime\t23:59:58.25\nX0\t0", "Date\t2026/05/02\nX0\t2", 2),
+    ],
+)
+def test_each_heading_of_labview_states_its_own_times(first, second, later, tmp_path):
+    """After National Instruments' specification: X0 counts from the date and the time of the same heading."""
+    end, names = "***End_of_Header***", "X_Value\tFx"
+    head = ["LabVIEW Measurement", "Separator\tTab", "Multi_Headings\tYes", "X_Columns\tNo", "Time_Pref\tRelative", end]
+    blocks = [
+        ["", "Channels\t1", *stated.split("\n"), f"Delta_X\t{step}", end, names, "\t1", "\t2"]
+        for stated, step in ((first, 0.25), (second, 0.5))
+    ]
+    path = put(tmp_path, [*head, *blocks[0], *blocks[1]])
+    time = read_table(path, guessed_layout(path)).numbers(0)
+    assert (time - time[0]).tolist() == [0, 0.25, later, later + 0.5]
 
 
 def test_a_quote_that_is_never_closed_is_no_cell(tmp_path):

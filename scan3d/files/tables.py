@@ -15,6 +15,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import date
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -267,8 +268,29 @@ def _heading(lines: Sequence[str]) -> tuple[list[int], dict[str, str]]:
     """The lines that end LabVIEW's headers, up to the names of the first data, and what these state, of several channels of the
     first one."""
     ends = [number for number, line in enumerate(lines, 1) if line.startswith(_END_OF_HEADER)][:2]
-    found = (re.match(r"(\w+)([\t;, ])(.*?)(?:\2|$)", line) for line in lines[: ends[-1] if ends else 0])
-    return ends, {pair[1]: pair[3].strip() for pair in found if pair}
+    return ends, _stated(lines[: ends[-1] if ends else 0])
+
+
+def _stated(lines: Sequence[str]) -> dict[str, str]:
+    """What the lines of a header of LabVIEW state, of several channels of the first one."""
+    found = (re.match(r"(\w+)([\t;, ])(.*?)(?:\2|$)", line) for line in lines)
+    return {pair[1]: pair[3].strip() for pair in found if pair}
+
+
+def _began(words: Mapping[str, str]) -> float | None:
+    """The day and the time of a header of LabVIEW in seconds, from which its relative times count; None if there is none."""
+    stated = f"{words.get('Date')} {words.get('Time')}".replace(",", ".")
+    found = re.fullmatch(r"(\d+/\d+/\d+) (\d+):(\d+):(\d+\.?\d*)", stated)
+    if found is None or words.get("Time_Pref", "Relative") != "Relative":
+        return None
+    try:
+        day = (
+            date(*map(int, found[1].split("/"))).toordinal() - date(2000, 1, 1).toordinal()
+        )  # small: no digits are lost
+    except ValueError:
+        return None
+    hours, minutes, seconds = map(float, found.groups()[1:])
+    return ((24.0 * day + hours) * 60 + minutes) * 60 + seconds
 
 
 def _one_heading(text: str, lines: Sequence[str]) -> str:
@@ -278,17 +300,22 @@ def _one_heading(text: str, lines: Sequence[str]) -> str:
         return text
     rows = text.splitlines()
     start = next((k for k in range(ends[-1], len(rows)) if rows[k].strip()), ends[-1]) + 1  # below the names
+    headings = {start: words}
     if words.get("Multi_Headings") == "Yes":
         begins = [k for k in range(start, len(rows)) if rows[k].startswith("Channels")]
         for k in begins:
             stop = next((j for j in range(k, len(rows)) if rows[j].startswith(_END_OF_HEADER)), len(rows))
+            headings[stop + 2] = words | _stated(rows[k:stop])
             rows[k : stop + 2] = [""] * len(rows[k : stop + 2])
     sign = words.get("Decimal_Separator", ".")
-    x0, step = (words.get(key, "").replace(",", ".") for key in ("X0", "Delta_X"))
-    if words.get("X_Columns") == "No" and Layout().is_number(x0) and Layout().is_number(step):
-        data = (k for k in range(start, len(rows)) if rows[k].startswith(("\t", ";", ",")))
-        for count, k in enumerate(data):
-            rows[k] = f"{float(x0) + count * float(step):.12g}".replace(".", sign) + rows[k]
+    for (begin, own), end in zip(headings.items(), [*[*headings][1:], len(rows)], strict=True):
+        x0, step = (own.get(key, "").replace(",", ".") for key in ("X0", "Delta_X"))
+        if words.get("X_Columns") == "No" and Layout().is_number(x0) and Layout().is_number(step):
+            first, this = _began(words), _began(own)
+            later = 0.0 if first is None or this is None else this - first
+            data = (k for k in range(begin, end) if rows[k].startswith(("\t", ";", ",")))
+            for count, k in enumerate(data):
+                rows[k] = f"{later + float(x0) + count * float(step):.15g}".replace(".", sign) + rows[k]
     return "\n".join(rows) + "\n"
 
 
