@@ -390,10 +390,12 @@ def _allowed(text: str) -> str:
 
 def _distinct(names: Sequence[str]) -> list[str]:
     """The names, with a number behind those that others have too; file systems may not distinguish capitals."""
-    taken = {name.casefold() for name in BATCH}
+    taken, following = {name.casefold() for name in BATCH}, dict[str, Iterator[int]]()
     chosen = []
     for name in names:
-        numbered = (f"{name}-{number}" for number in itertools.count(2))
+        # numbers go on where those of the same name have ended
+        numbers = following.setdefault(name.casefold(), itertools.count(2))
+        numbered = (f"{name}-{number}" for number in numbers)
         candidate = next(one for one in itertools.chain([name], numbered) if one.casefold() not in taken)
         taken.add(candidate.casefold())
         chosen.append(candidate)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import json
 import os
 import re
@@ -129,6 +130,21 @@ def test_names_of_runs(tmp_path):
     names = ["egg", "Egg", "", "a-b-c", "été", "n" * 100]
     expected = [f"{name}_friction=0.0-0.4"[:100] for name in names]
     assert [run.name for run in runs] == [expected[0], f"{expected[1]}-2", *expected[2:]]
+
+
+def test_many_runs_of_one_name_try_each_number_once(monkeypatch):
+    tried, count = [], itertools.count
+
+    def counted(first):
+        for number in count(first):
+            tried.append(number)
+            yield number
+
+    monkeypatch.setattr(batches.itertools, "count", counted)
+    names = batches._distinct(["egg", "egg-3", "Egg"] + 97 * ["egg"])
+    assert len({name.casefold() for name in names}) == 100
+    assert names[:5] == ["egg", "egg-3", "Egg-2", "egg-4", "egg-5"]
+    assert len(tried) == 99  # with that of the name egg-3
 
 
 # --- grids ---
