@@ -147,3 +147,17 @@ def test_unpacked_sizes_of_either_order_of_bytes(tmp_path, monkeypatch, order):
     monkeypatch.setattr("scan3d.workers.memory_bytes", lambda: 1e8)
     with pytest.raises(InputError, match=r"needs about 4\.8 GB"):
         read_columns(tmp_path / "log.mat")
+
+
+@pytest.mark.parametrize("missing", [[], [3], [0], [0, 1], range(5)])
+def test_times_that_are_missing_are_no_times(tmp_path, missing):
+    """Dates count from the first one that is there."""
+    stamps = np.datetime64("2026-05-01T10:00", "ns") + 250_000_000 * np.arange(5).astype("timedelta64[ns]")
+    spans = stamps - stamps[0]
+    for values in (stamps, spans):
+        values[[*missing]] = "NaT"
+    parquet_file(tmp_path / "log.parquet", {"stamp": stamps, "span": spans})
+    found = read_columns(tmp_path / "log.parquet").values
+    expected = np.where(np.isin(np.arange(5), [*missing]), np.nan, 0.25 * np.arange(5))
+    np.testing.assert_array_equal(found["span"], expected)
+    np.testing.assert_array_equal(found["stamp"], expected - 0.25 * next((k for k in range(5) if k not in missing), 0))

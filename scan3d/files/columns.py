@@ -333,8 +333,10 @@ def sheet_text(path: Path) -> str:
 
 def _values(column: NDArray[Any]) -> NDArray[Any]:
     if column.dtype.kind in "mM":
-        column = (column - column[:1].min()).astype("timedelta64[ns]") if column.dtype.kind == "M" else column
-        return column.astype("timedelta64[ns]").astype(np.int64) * 1e-9
+        missing = np.isnat(column)
+        if column.dtype.kind == "M" and not missing.all():
+            column = column - column[int(np.argmin(missing))]
+        return np.where(missing, np.nan, column.astype("timedelta64[ns]").astype(np.int64) * 1e-9)
     if column.dtype.kind in "iufb":
         return column.astype(np.float64)
     texts = (value.decode(errors="replace") if isinstance(value, bytes) else value for value in column)
