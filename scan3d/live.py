@@ -35,7 +35,8 @@ from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 State = Literal["unknown", "air", "touching", "ringing"]
-# Rows in which a rod that rings is recognised: eight periods of the rows in which it is looked for.
+# Rows in which a rod that rings is recognised: eight periods of the rows in which it is looked for.  Of a clamp that stands
+# still in the air as many are kept.
 _WINDOW = 64
 # Rows by which the zero of a sensor is found, and its noise to 7 %.
 _AIR = 100
@@ -142,6 +143,7 @@ class Live:
         self._sweep, self._begin, self._touched, self._pressed = -1, self._like, False, False
         self._from, self._going = self._like.position_m[0], np.zeros(2, dtype=bool)
         self._waiting_rows: list[Recording] = []
+        self._after = 0  # rows in the air since the last one that was pressed, of those that are kept
         self.contacts: list[LiveContact] = []
         """The contacts so far."""
         self._begin_zero()
@@ -180,7 +182,7 @@ class Live:
             (3,) in metres, (4,) w first, and (6,) force and moment in N and N m; of the planar model (3,) fx, fy and mz.
         sweep
             number of the sweep; by default each touch is one, with the rows in the air in its plane before and after it, and
-            rows in the air between two planes are not kept.
+            rows in the air between two planes are not kept, nor all while the clamp stands still in the air.
 
         Raises InputError for other shapes, quaternions without unit length, times before that of the last row, and numbers that
         no rig has; the row is not kept.
@@ -236,6 +238,8 @@ class Live:
             self.state = "unknown" if contact is None else "touching"
             self.contacts += [] if contact is None else [contact]
         self._rows += rows
+        self._after = 0 if pressed or sweep is not None else self._after + len(rows)
+        self._after -= self._thinned(self._rows, self._after)
         self.last_row = row
         return contact
 
@@ -258,6 +262,7 @@ class Live:
             self._begin, self._touched, self._waiting_rows = row, False, []
         if not (pressed or self._touched):
             self._waiting_rows.append(row)
+            self._thinned(self._waiting_rows, len(self._waiting_rows))
             return []
         rows = [*self._waiting_rows, row]
         self._sweep += not self._touched
@@ -265,6 +270,20 @@ class Live:
         for one in rows:
             one.__dict__["sweep"] = np.array([self._sweep])
         return rows
+
+    def _thinned(self, rows: list[Recording], count: int) -> bool:
+        """Whether a row was taken out of the last ones in the air, so many, because the clamp stands still since the row before
+        it: a rod that is parked would fill the memory, and such rows say nothing new."""
+        if count <= _WINDOW:
+            return False
+        first, last = rows[-1 - _WINDOW], rows[-1]
+        error = FORCE_SIGMAS * last.noise_pose_m  # what is kept shows the way up to the errors of the poses
+        moved = float(np.linalg.norm(last.position_m - first.position_m))
+        turned = float(np.abs(last.axes() - first.axes()).max())
+        if moved > error or turned * last.rod.length_m > error:
+            return False
+        del rows[-_WINDOW]
+        return True
 
     def _checked(
         self, t: float, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike

@@ -239,6 +239,39 @@ def test_a_rod_that_returns_in_its_own_plane_sweeps_again(model):
     assert len(np.unique(found.sweep)) == 2 * len(np.unique(whole.sweep[there]))
 
 
+@pytest.mark.slow
+def test_a_rod_that_is_parked_in_the_air_fills_no_memory():
+    """Where the clamp stands for long, before a touch and after it, the contacts are those of a clamp that does not."""
+    recording = scanned("planar", noise=0.0)
+    rows, found = np.flatnonzero(recording.sweep == 0), []
+    way = 1e-3 * recording.axes()[rows[0], 0]
+    places = recording.position_m[rows]
+    kept = []
+    for stays in (1, 300):
+        live, wrench = scan3d.Live(recording), np.hstack([recording.force_N, recording.moment_Nm[:, None]])[rows]
+        air = np.linspace(20, 1, 8)[:, None] * way
+        steps = [(places[0] + step, np.zeros(3), stays if k == 4 else 1) for k, step in enumerate(air)]
+        steps += [(place, shown, 1) for place, shown in zip(places, wrench, strict=True)]
+        steps += [(places[-1] - step, np.zeros(3), stays if k == 4 else 1) for k, step in enumerate(air[::-1])]
+        for place, shown, times in steps:
+            for _ in range(times):
+                live.push(0.0, place, recording.quaternion[rows[0]], shown)
+        found.append(live)
+        kept.append(len(live.recording))
+    assert kept[0] >= len(steps) - 1  # the way to the first place is none of a sweep
+    assert kept[0] < kept[1] < kept[0] + 150
+    np.testing.assert_array_equal(*([one.point for one in live.contacts] for live in found))
+    np.testing.assert_array_equal(*(live.cloud.points for live in found))
+    unique = [np.unique(live.recording.position_m, axis=0) for live in found]
+    np.testing.assert_array_equal(*unique)
+    # in the air alone
+    before = len(live.recording)
+    for _ in range(1000):
+        live.push(0.0, places[0] + 0.3, recording.quaternion[rows[0]], np.zeros(3))
+    assert len(live.recording) == before
+    assert len(live._waiting_rows) <= 65
+
+
 def test_what_is_no_row_is_refused():
     live = scan3d.Live(scanned("planar"), model="planar")
     assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0, 0, 0]) is None
