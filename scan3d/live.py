@@ -228,6 +228,9 @@ class Live:
         rows = self._in_sweeps(row, pressed) if sweep is None else [row]
         if sweep is not None:
             row.__dict__["sweep"] = np.array([sweep])
+            # rows without a number that follow are of another sweep
+            self._sweep, self._pressed = max(self._sweep, sweep), pressed
+            self._begin, self._touched, self._waiting_rows = row, False, []
         contact = None
         if not pressed:
             self.state = "air"

@@ -272,6 +272,19 @@ def test_a_rod_that_is_parked_in_the_air_fills_no_memory():
     assert len(live._waiting_rows) <= 65
 
 
+@pytest.mark.parametrize("stated", [0, 7])
+def test_sweeps_that_are_found_have_other_numbers_than_those_that_are_stated(stated):
+    recording = scanned("planar", noise=0.0)
+    live, rows = scan3d.Live(recording), np.flatnonzero(recording.sweep == 0)
+    for sweep in (stated, None, stated + 5, None):
+        for row in rows:
+            wrench = [*recording.force_N[row], recording.moment_Nm[row]]
+            live.push(0.0, recording.position_m[row], recording.quaternion[row], wrench, sweep)
+    numbers = live.recording.sweep
+    begins = np.diff(numbers, prepend=-1) != 0
+    assert numbers[begins].tolist() == [stated, stated + 1, stated + 5, stated + 6]
+
+
 def test_what_is_no_row_is_refused():
     live = scan3d.Live(scanned("planar"), model="planar")
     assert live.push(0.0, [0, 0, 0], [1, 0, 0, 0], [0, 0, 0]) is None
