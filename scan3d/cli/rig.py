@@ -40,6 +40,10 @@ RIG_OPTIONS = Parameter(
 )
 
 
+# Settings of the surface and its bounds, which a recording does not have.
+OF_SURFACES = ("method", "reach")
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Limits:
@@ -282,7 +286,8 @@ def _further_places(
 def refuse_settings_of_scans(given: dict[str, Any]) -> None:
     """Raises UsageError for settings that have no effect where a list of poses says where the clamp goes."""
     of_scans = (
-        "slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "probing", "known", "noise", "method"
+        "slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "probing", "known", "noise",
+        *OF_SURFACES
     )  # fmt: skip
     if wrong := [name for name in of_scans if name in given]:
         instead = "noise belongs into --faults" if wrong == ["noise"] else "give it to scan3d plan, or leave it out"

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from cyclopts import Group, Parameter
 
 from scan3d.choices import Export, Method, Model
-from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
+from scan3d.cli.rig import OF_SURFACES, RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
 from scan3d.cli.terminal import (
     File,
     Flag,
@@ -160,6 +160,11 @@ def simulate(
         for name, given in (("faults", faults), ("placed", placed)):
             if given:
                 raise UsageError(f"--{name} is for a rig: give --poses FILE as well")
+        for name in OF_SURFACES:
+            if name in options.given():
+                raise UsageError(
+                    f"--{name} is of a surface, and simulate makes a recording; give it to scan3d reconstruct"
+                )
     else:
         refuse_settings_of_scans(options.given())
     chosen = options.chosen()
