@@ -561,8 +561,25 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         values |= dict.fromkeys(SIX_AXES)
     values["noise_independent"] = all(recording.noise_independent for recording in recordings)
     values |= {name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns}
+    if any(recording.stated_hollow for recording in recordings):
+        values["source"] = {**last.source, "convex": False}
     rig = one_rig([recording.rig for recording in recordings])
-    return replace(last, sweep=np.concatenate(numbers), **values, rig=rig)
+    found = replace(last, sweep=np.concatenate(numbers), **values, rig=rig)
+    parts = [recording.noise for recording in recordings]
+    # among more digits those of one part are not seen, and its rows would count as exact
+    largest = {
+        "noise_force_N": max(part.force_N for part in parts),
+        "noise_moment_Nm": max(part.moment_Nm for part in parts),
+    }
+    counted = found.noise.force_N, found.noise.moment_Nm
+    hidden: dict[str, Any] = {
+        name: sd for (name, sd), seen in zip(largest.items(), counted, strict=True) if seen < 0.99 * sd
+    }
+    if not hidden:
+        return found
+    return replace(
+        found, **hidden, noise_independent=all(part.independent for part in parts) and found.noise_independent
+    )
 
 
 # --- what is known in the place of a reaction that was not measured ---

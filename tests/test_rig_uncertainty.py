@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scan3d import InputError
-from scan3d.calibration.report import OF_CONTACTS, read_rig, write_rig
+from scan3d.calibration.report import OF_CONTACTS, Calibration, read_rig, write_rig
 from scan3d.recording import joined
 from scan3d.rigs import GAINS, RIG_QUANTITIES, RigUncertainty
 from tests import rigs
@@ -41,6 +41,56 @@ def test_recordings_are_joined_with_one_calibration():
             InputError, match=r"corrected by another calibration than those before, or only one of them"
         ):
             joined([one, random_recording(rig=other)])
+
+
+def test_a_recording_that_is_joined_to_others_keeps_its_digits_and_its_cavities():
+    """The digits of one part were lost among those of the other, and so was what is stated of the body."""
+    exact = random_recording(200)
+    hollow = {"source": {"convex": False}}
+    coarse = random_recording(200, force_N=exact.force_N.round(2), moment_Nm=exact.moment_Nm.round(9), **hollow)
+    for parts in ([exact, coarse], [coarse, exact], [coarse, coarse]):
+        both = joined(parts)
+        assert both.stated_hollow
+        assert (both.noise.force_N, both.noise.moment_Nm) == (coarse.noise.force_N, coarse.noise.moment_Nm)
+        assert not both.noise.independent or not both.noise_independent
+    assert joined([exact, exact]).noise.force_N == 0
+    assert not joined([exact, exact]).stated_hollow
+
+
+def of_frame(position_m=(0.0, 0.0, 0.0), euler_deg=(0.0, 0.0, 0.0)):
+    """A calibration that has found the sensor's frame, and nothing else."""
+    nothing, six = np.zeros(0), np.zeros(6)
+    return Calibration(
+        random_recording().rod, np.array(position_m), np.array(euler_deg), np.zeros(3), np.zeros(3), six, six, (), nothing,
+        nothing, np.zeros((0, 0)), (), (), 1.0, 1.0, 1, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+
+
+def test_the_moment_has_the_noise_of_its_component_with_the_longest_lever():
+    """The mean over the components, 18 % less, was stated."""
+    rig, rng = of_frame((0.0, -0.1, 0.0)), np.random.default_rng(0)
+    wrench = rng.standard_normal((20000, 6)) * np.repeat([1e-2, 1e-5], 3)
+    moment = rig.corrected(wrench, np.zeros((20000, 3)), np.tile([1.0, 0, 0, 0], (20000, 1)))[1]
+    assert rig.moment_noise(1e-2, 1e-5) == pytest.approx(moment.std(axis=0).max(), rel=0.02)
+
+
+@pytest.mark.parametrize("tare", ["auto", "calibration"])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_the_steps_that_a_rig_turns_are_no_independent_noise(tare, noise):
+    """Columns of steps had full precision after the turn, and their rounding counted as white noise."""
+    rng, row = np.random.default_rng(0), np.arange(400)
+    pressed = np.sin(np.clip((row % 100 - 20) / 60, 0, 1) * np.pi)
+    wrench = pressed[:, None] * [-0.5, -0.05, -0.15, 5e-3, 0, 0.015]
+    wrench = wrench + noise * rng.standard_normal((400, 6)) * np.repeat([1.0, 0.01], 3)
+    force, moment = wrench[:, :3].round(2), wrench[:, 3:].round(4)
+    columns = dict(
+        sweep=row // 100, position_m=rng.standard_normal((400, 3)), force_N=force[:, :2], moment_Nm=moment[:, 2]
+    )
+    columns |= dict(force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
+    log = random_recording(400, **columns, noise_force_N=noise, noise_moment_Nm=0.01 * noise)
+    corrected = of_frame((1e-3, 0.02, 3e-3), (1.0, 2.0, 3.0)).applied(log, tare)
+    assert corrected.noise.force_N > 0.99 * log.noise.force_N
+    assert (corrected.noise_independent and corrected.noise.independent) == log.noise.independent == (noise > 0)
 
 
 @pytest.mark.slow

@@ -174,6 +174,9 @@ class Calibration(Described):
             air = unloaded(recording.sweep, wrench, channels, (known.force_N, known.moment_Nm), model)
             wrench = wrench - air.basis @ air.tare.T
             force_noise, moment_noise = air.force_noise, air.moment_noise
+        # noise of half a step makes the errors of rounding independent; the turn hides the steps, which nobody sees afterwards
+        rounding = known.force_N**2 - recording.noise_force_N**2, known.moment_Nm**2 - recording.noise_moment_Nm**2
+        fine = force_noise**2 >= 4 * rounding[0] and moment_noise**2 >= 4 * rounding[1]
         force, moment, position, quaternion = self.corrected(wrench, recording.position_m, recording.quaternion)
         return dataclasses.replace(
             recording,
@@ -185,6 +188,7 @@ class Calibration(Described):
             noise_force_N=force_noise,
             noise_moment_Nm=self.moment_noise(force_noise, moment_noise),
             noise_pose_m=recording.noise_pose_m or self.pose_noise_m,
+            noise_independent=recording.noise_independent and fine,
             source={**recording.source, "calibrated": True},
             rig=self.uncertainty(),
         )
@@ -209,10 +213,11 @@ class Calibration(Described):
         return force, moment, *clamp.carried(position_m, quaternion)
 
     def moment_noise(self, force_N: float, moment_Nm: float, *, imported: bool = True) -> float:
-        """Standard deviation of the clamp's moment by those of the sensor's force and moment; `imported` as of `frames`."""
+        """Largest deviation of the components of the clamp's moment by those of the sensor's; `imported` as of `frames`."""
         place = self.frames(imported=imported)[0].position_m
-        # the mean over the components of the variance that the lever adds
-        return float(np.sqrt(moment_Nm**2 + float(place @ place) * 2 / 3 * force_N**2))
+        # that of the component with the longest lever, as an import states it
+        levers = place @ place - place**2
+        return float(np.sqrt(moment_Nm**2 + float(levers.max()) * force_N**2))
 
     def uncertainty(self) -> RigUncertainty:
         """The covariance of the errors that remain in a recording that this corrects, to the first order.
