@@ -356,12 +356,14 @@ def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     )
     wrong_sign = dataclasses.replace(recording, force_N=-recording.force_N, force_z_N=-recording.force_z_N)
     late = of_rows(recording, (recording.sweep != 7) | touching)
+    both = dataclasses.replace(recording, source={"map": {"sweeps": {"directions": "both"}}})
     assert (silent.force_z_N == zero).all()
     for given, reference, sentence in (
         (of_rows(recording, touching), rigs.DIAMETER, "has 0 rows in the air, and a calibration needs"),
         (of_rows(recording, ~touching), rigs.DIAMETER, "rows in contact that stand out from the noise"),
         (silent, rigs.DIAMETER, "has 0 rows in contact"),
         (wrong_sign, rigs.DIAMETER, "signs of forces and moments"),
+        (both, rigs.DIAMETER, 'directions = "both".*; calibrate by the strokes of one direction'),
         (recorded("plane", sweeps=15, **SHORT)[0], rigs.DIAMETER, "do not fit a sphere of 30 mm"),
         (rigs.planar_recorded()[0], "plane", "all six components; with three, touch a sphere"),
         (stated(rigs.planar_recorded()[0], euler_deg=[90, 0, 0]), rigs.DIAMETER, "whose z axis is along the clamp's"),

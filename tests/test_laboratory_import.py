@@ -340,6 +340,9 @@ def test_strokes_back_count_on_request(tmp_path, planar):
     with pytest.raises(InputError, match=r'mostly along \+x of its own frame.*directions = "both" under \[sweeps\]'):
         imported(tmp_path / "raw.csv", columns, data)
     found = imported(tmp_path / "raw.csv", columns, data | {"sweeps": {"directions": "both"}})
+    bent = data | {"sweeps": {"directions": "both"}, "rod": data["rod"] | {"curvature_per_m": 0.2}}
+    with pytest.raises(InputError, match=r"is curved, and curves the other way.*import the two directions apart"):
+        imported(tmp_path / "raw.csv", columns, bent)
     rows = same_rows(turned, found)
     # the frame is turned by half a turn about the rod: x and z change their signs
     signs = np.tile([-1.0, 1.0, -1.0], 2)

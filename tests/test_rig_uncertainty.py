@@ -66,6 +66,15 @@ def of_frame(position_m=(0.0, 0.0, 0.0), euler_deg=(0.0, 0.0, 0.0)):
     )  # fmt: skip
 
 
+def test_frames_that_an_import_turned_are_not_corrected_by_a_rig():
+    """The rows of strokes back were corrected as if clamp and sensor were not turned."""
+    log = random_recording(source={"map": {"sweeps": {"directions": "both"}}})
+    with pytest.raises(
+        InputError, match=r'imported with directions = "both".*; import the table with scan3d import --rig'
+    ):
+        of_frame().applied(log, "calibration")
+
+
 def test_the_moment_has_the_noise_of_its_component_with_the_longest_lever():
     """The mean over the components, 18 % less, was stated."""
     rig, rng = of_frame((0.0, -0.1, 0.0)), np.random.default_rng(0)

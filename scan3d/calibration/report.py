@@ -162,6 +162,7 @@ class Calibration(Described):
                 "the rig has the matrix of a sensor's signals, and a recording has forces: import the table of the signals "
                 "with scan3d import --rig"
             )
+        _check_directions(recording, "import the table with scan3d import --rig")
         known = recording.noise
         channels, wrench = six_channels(recording)
         gravity = recording.gravity
@@ -297,6 +298,7 @@ def calibrate(
     The recording may be given as the path of its file.
     """
     recording = as_recording(recording)
+    _check_directions(recording, "calibrate by the strokes of one direction")
     map_frames, stated = _map_frames(recording), accuracy
     if stated is None:
         stated = recording.source.get("map", {}).get("sensor", {}).get("accuracy")
@@ -418,6 +420,15 @@ def _rod(nominal: Rod, rig: Rig) -> Rod:
     if nominal.stiffness_table or not nominal.diameter_m:
         return dataclasses.replace(rod, stiffness_table=tuple((s, stiffness * d**4) for s, d in rows))
     return dataclasses.replace(rod, diameter_table=tuple((s, nominal.diameter_m * d) for s, d in rows))
+
+
+def _check_directions(recording: Recording, advice: str) -> None:
+    """Raise InputError for a recording whose import turned clamp and sensor in some rows, which it does not tell."""
+    if recording.source.get("map", {}).get("sweeps", {}).get("directions") == "both":
+        raise InputError(
+            'the recording was imported with directions = "both", which turns the frames of clamp and sensor by half a turn in '
+            f"strokes back; {advice}, or import it without"
+        )
 
 
 def _map_frames(recording: Recording) -> dict[str, Any]:

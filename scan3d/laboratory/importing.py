@@ -244,6 +244,12 @@ def _converted(table: Table, map: Map) -> Imported:
     check_directions(map, table.name, np.where(measured, sweep, -1), position, quaternion, touched, probing)
     notes = [*log.notes, *sensed.notes, *notes]
     if backwards.any():
+        if any(map.rod.curvatures[:2]):
+            raise InputError(
+                f"{table.name}: the rod of {map.name} is curved, and curves the other way in the frame of a stroke back, "
+                "which is turned by half a turn about the rod; import the two directions apart, those "
+                "back with the frames under [clamp] and [sensor] turned by 180° about y, and curvature about z and x reversed"
+            )
         # after half a turn about the rod a stroke along +x is one along -x
         quaternion, wrench, signs = quaternion.copy(), wrench.copy(), np.array([-1.0, 1.0, -1.0])
         half_turn = Frame(np.zeros(3), np.diag(signs))
