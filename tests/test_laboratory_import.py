@@ -274,6 +274,18 @@ def test_signals_of_a_transducer(tmp_path, planar, plain, rows):
     known = found.log.present
     assert found.log.wrench[:, known] == pytest.approx(expected.log.wrench[:, known], abs=1e-12)
     assert found.recording.force_N == pytest.approx(expected.recording.force_N, abs=1e-12)
+    # steps of the converter are those of the volts, and no grid of the wrench
+    steps = np.ptp(volts, axis=0) / 100
+    coarse = imported(
+        tmp_path / "coarse.csv",
+        columns | dict(zip(data["columns"]["signals"], (np.round(volts / steps) * steps).T, strict=True)),
+        data,
+    )
+    assert not coarse.recording.noise_independent
+    if rows == 3:
+        force, moment = np.split(np.sqrt(matrix**2 @ steps**2 / 12), [2])
+        assert coarse.recording.noise.force_N >= 0.99 * force.max()
+        assert coarse.recording.noise.moment_Nm >= 0.99e-3 * moment[0]
     change = {"matrix": matrix[:2].tolist()}
     with pytest.raises(InputError, match=r"\[sensor\] matrix must have a row for each of fx, fy, fz"):
         imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})

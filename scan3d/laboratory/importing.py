@@ -267,7 +267,7 @@ def _converted(table: Table, map: Map) -> Imported:
         pressed = within[probing[within] & _touching(wrench, noise, _ANY)[within]]
         kept = np.union1d(kept, pressed[np.unique(sweep[pressed], return_index=True)[1]])
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
-    recording = _with_steps(recording, _in_clamp(_rounding(log.wrench[measured]), map, known))
+    recording = _with_steps(recording, _in_clamp(_rounding(log, measured, map), map, known))
     count = len(kept)
     if recording.completed is not None:
         recording, single = completed(recording)
@@ -490,14 +490,17 @@ def _in_clamp(deviations: Array, map: Map, known: Mask) -> tuple[float, float]:
     return float(deviation[:3].max()), float(deviation[3:].max())
 
 
-def _rounding(wrench: Array) -> Array:
-    """(6,) standard deviations of the rounding of channels (n, 6) whose values repeat, as those of a converter do.
+def _rounding(log: Log, rows: Mask, map: Map) -> Array:
+    """(6,) standard deviations of the sensor's channels by the rounding of what it shows in rows (n,), whose values repeat, as
+    those of a converter do.
 
     Without noise, a drift at even times lies on a grid as well.
     """
-    return np.array(
-        [rounding_sd(column, measured=True) if 2 * len(np.unique(column)) < len(column) else 0.0 for column in wrench.T]
-    )
+    shown = log.shown[rows].T
+    steps = [rounding_sd(one, measured=True) if 2 * len(np.unique(one)) < len(one) else 0.0 for one in shown]
+    found = np.sqrt(log.by_shown**2 @ np.square(steps))
+    # the clamp's turn mixes components along the world's axes
+    return np.repeat([found[:3].max(), found[3:].max()], 3) if map.wrench_in == "world" else found
 
 
 def _with_steps(recording: Recording, rounding: tuple[float, float]) -> Recording:

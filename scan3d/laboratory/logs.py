@@ -46,6 +46,10 @@ class Log:
     """(n, 6) force in N and moment in N m; zero where the sensor has no such channel."""
     present: Mask
     """(6,) whether the sensor has the channel."""
+    shown: Array
+    """(n, k) force and moment as the sensor shows them, or signals, in the order of the columns."""
+    by_shown: Array
+    """(6, k) force and moment by what is shown."""
     sweep: NDArray[np.int64] | None
     """(n,) number of the sweep, -1 between sweeps; None if neither sweeps nor moves were logged."""
     probe: Mask | None
@@ -108,6 +112,8 @@ def read_log(table: Table, map: Map) -> Log:
         quaternion=quaternion,
         wrench=wrench,
         present=present,
+        shown=shown.values[row],
+        by_shown=shown.matrix,
         sweep=None if sweep is None else sweep[row],
         probe=None if move is None else (move == Move.PROBE)[row],
         row=row,
@@ -137,6 +143,8 @@ class _Shown(NamedTuple):
 
     values: Array
     """(n, k)"""
+    matrix: Array
+    """(6, k) force and moment by the channels."""
     names: tuple[str, ...]
     words: Callable[[int, float], str]
     """A value of a channel with its unit."""
@@ -155,7 +163,7 @@ def _wrench(table: Table, map: Map) -> tuple[Array, Mask, _Shown]:
         def words(k: int, value: float) -> str:
             return units.force(value) if channels[k] < 3 else units.moment(value)
 
-        return wrench, np.array(known), _Shown(wrench[:, channels], names, words)
+        return wrench, np.array(known), _Shown(wrench[:, channels], np.eye(6)[:, channels], names, words)
     signals = _vectors(table, map, columns.signals, "", "signals")
     names, matrix, offset = map.transducer
     if not matrix:
@@ -168,12 +176,13 @@ def _wrench(table: Table, map: Map) -> tuple[Array, Mask, _Shown]:
             f"{table.name}: the calibrated rig is that of {len(offset)} signals, and [columns] signals of {map.name} names "
             f"{signals.shape[1]}; name the same ones, in the same order"
         )
-    told, wrench = [CHANNELS.index(name) for name in names], np.zeros((len(table), 6))
+    told, by_signals = [CHANNELS.index(name) for name in names], np.zeros((6, len(offset)))
     present: Mask = np.isin(np.arange(6), told)
-    wrench[:, told] = (signals - offset) @ np.array(matrix).T
-    wrench *= np.repeat([map.factors["force"], map.factors["moment"]], 3)
+    by_signals[told] = matrix
+    by_signals *= np.repeat([map.factors["force"], map.factors["moment"]], 3)[:, None]
+    wrench = (signals - offset) @ by_signals.T
     titles = tuple(table.title(_find(table, map, name, "signals")[0]) for name in columns.signals)
-    return wrench, present, _Shown(signals, titles, lambda _, value: f"{value:.4g}")
+    return wrench, present, _Shown(signals, by_signals, titles, lambda _, value: f"{value:.4g}")
 
 
 def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -> tuple[Mask, Mask, tuple[str, ...]]:
