@@ -31,6 +31,7 @@ from scan3d.simulation.rig import (
     read_faults,
     simulate_rig,
     standing,
+    true_rod,
 )
 
 ROWS = 20000
@@ -148,6 +149,37 @@ def test_the_true_rod_differs_from_the_nominal_one(egg):
     np.testing.assert_allclose(wrong.wrench, 1.1 * true.wrench, rtol=1e-9, atol=1e-15)
     longer = simulate_rig(egg, poses, faults=Faults(rate_hz=50.0, length_error=0.05))
     assert (longer.wrench != 0).any(axis=1).sum() > (true.wrench != 0).any(axis=1).sum()
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"curvature_per_m": 2.0},
+        {"diameter_m": ((0.0, 6e-4), (0.06, 2e-4))},
+        {"bending_stiffness_Nm2": ((0.0, 1e-4), (0.03, 3e-4), (0.06, 1e-4))},
+        {"clamp_compliance_rad_per_Nm": 100.0},
+        {"weight_N": 1e-3},
+    ],
+    ids=lambda more: next(iter(more)),
+)
+def test_the_true_rod_is_all_that_the_nominal_one_is(egg, more):
+    """With any faults it was straight, uniform and weightless in a rigid clamp."""
+    rod = Rod(**{"length_m": 0.06, "bending_stiffness_Nm2": 1e-4} | more)
+    poses, faults = planned("planar", slices=1, sweeps=1, samples=64, rod=rod), Faults(rate_hz=200.0)
+    if rod.weight_N:
+        for given in (None, faults):
+            with pytest.raises(InputError, match="weight"):
+                simulate_rig(egg, poses, faults=given)
+        return
+    exact, logged = (simulate_rig(egg, poses, faults=given) for given in (None, faults))
+    for channel in (0, 1, 5):
+        shown = exact.wrench[:, channel]
+        off = np.interp(exact.time_s, logged.time_s, logged.wrench[:, channel]) - shown
+        assert np.median(np.abs(off[shown != 0] / shown[shown != 0])) < 1e-3
+    true = true_rod(rod, Faults(length_error=0.1, stiffness_error=0.2))
+    assert true.profile == rod.profile
+    assert (true.length_m, true.bending_stiffness_Nm2) == pytest.approx((0.066, 1.2e-4))
+    assert true.curvatures == rod.curvatures
 
 
 def test_a_sensor_shows_the_wrench_in_its_frame():

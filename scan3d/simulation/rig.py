@@ -165,11 +165,7 @@ def simulate_rig(
         raise InputError(
             "a simulated rod with a bead probes, and does not sweep; plan with probing, or a rod without bead"
         )
-    real = nominal  # the rod that is in the clamp
-    if faults is not None:
-        length = nominal.length_m * (1 + faults.length_error)
-        stiffness = nominal.bending_stiffness_Nm2 * (1 + faults.stiffness_error)
-        real = Rod(length, stiffness, nominal.diameter_m, bead_diameter_m=nominal.bead_diameter_m)
+    real = nominal if faults is None else true_rod(nominal, faults)
     metres = UNITS_M[unit]
     length, radius = real.length_m / metres, real.diameter_m / metres / 2
     settings = Plan(
@@ -234,6 +230,18 @@ def simulate_rig(
         position_m=logged_positions(log.position_m, faults)[keep],
         quaternion=log.quaternion[keep],
         wrench=measured(wrench[:, :3], wrench[:, 3:], faults, (nominal.force_unit_N, nominal.moment_unit_Nm))[keep],
+    )
+
+
+def true_rod(nominal: Rod, faults: Faults) -> Rod:
+    """The rod that is in the clamp: the nominal one, stretched and stiffened."""
+    longer, stiffer = 1 + faults.length_error, 1 + faults.stiffness_error
+    return replace(
+        nominal,
+        length_m=nominal.length_m * longer,
+        bending_stiffness_Nm2=nominal.bending_stiffness_Nm2 * stiffer,
+        stiffness_table=tuple((longer * s, stiffer * value) for s, value in nominal.stiffness_table),
+        diameter_table=tuple((longer * s, value) for s, value in nominal.diameter_table),
     )
 
 
