@@ -269,14 +269,16 @@ def sweep_all(
 
 
 def _outside(sweeps: list[Sweep], contours: Sequence[Contour], rod: Rod) -> list[Sweep]:
-    """The sweeps without the samples in which a rod that is curved or hangs would lie in the contour beside its contact."""
+    """The sweeps without the samples in which a rod that is curved or hangs would lie in the contour beside its contact, or the
+    free one that is curved without any: it touches in a state that is left out."""
     outlines = Outlines([contour.loops() for contour in contours])
     for i, swept in enumerate(sweeps):
-        samples = np.flatnonzero(swept.phase != Phase.NONE)
+        samples = np.flatnonzero((swept.phase != Phase.NONE) | (rod.weight == 0))
         x0, f0x, f0y, m0z = (column[samples] for column in swept.reactions)
+        f0x, f0y, m0z = (np.where(swept.phase[samples] == Phase.NONE, 0.0, column) for column in (f0x, f0y, m0z))
         like = rod.rows(np.full(len(samples), i))
         with np.errstate(all="ignore"):
-            lines = shapes(like, -np.stack([f0x, f0y]) - like.pull, -m0z, np.minimum(swept.s1[samples], 1.0), _ALONG)
+            lines = shapes(like, -np.stack([f0x, f0y]) - like.pull, -m0z, np.fmin(swept.s1[samples], 1.0), _ALONG)
         places = np.concatenate(lines, axis=1) + np.stack([x0, np.zeros(len(x0))])[:, None]
         body = np.full(places[0].size, i)
         gap = outlines.nearest(body, places.reshape(2, -1).T, 0.0).gap.reshape(places[0].shape)

@@ -275,7 +275,8 @@ def test_rows_may_have_a_gravity_each():
 @pytest.mark.parametrize("curvature", [-1.0, 0.3, 1.0])
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_no_rod_lies_in_the_contour(curvature, direction):
-    """A rod that curves towards a side touches it at a second place; such samples are unresolved."""
+    """A rod that curves towards a side touches it at a second place, or before any state that is known; such samples, which
+    counted as free, are unresolved."""
     square = [(-0.3, 0.5), (0.3, 0.5), (0.3, 1.1), (-0.3, 1.1)]
 
     def in_square(x, y):
@@ -285,8 +286,14 @@ def test_no_rod_lies_in_the_contour(curvature, direction):
         return 0.1 * (1 - np.hypot(x / 0.1, (y - 0.9) / 0.5))
 
     rod, unresolved = planar.Rod(curvature=curvature, tip_diameter=0.8), 0
+    turn = curvature * np.linspace(0, 1, 200)
+    free = np.stack([(np.cos(turn) - 1) / curvature, np.sin(turn) / curvature])
     for contour, depth in ((planar.Polygon(square), in_square), (planar.Ellipse((0.1, 0.5), (0, 0.9)), in_ellipse)):
-        swept = planar.sweep(contour, 0.2, samples=80, rod=rod, direction=direction)
+        base = -direction * np.linspace(1.2, -0.5, 80)
+        swept = planar.sweep(contour, 0.2, base=base, rod=rod, direction=direction)
+        before = base[swept.status == planar.SweepStatus.FREE]
+        assert len(before)
+        assert depth(before[:, None] + free[0], free[1]).max() < 1e-3
         lines = planar.elastic_lines(*swept.reactions, rod=rod)
         places = np.concatenate([lines.curved, lines.straight], axis=1)[swept.phase != planar.Phase.NONE]
         assert depth(*places.transpose(2, 0, 1)).max() < 1e-6

@@ -87,6 +87,20 @@ def test_paths_between_sweeps_keep_clear_of_the_bounding_body_and_the_table(arou
         assert np.abs(steps[:, 1:]).max() < 1e-9
 
 
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+@pytest.mark.parametrize("curvature", [-20.0, 8.0])
+def test_a_curved_rod_is_clear_of_the_bounding_body_before_and_after_a_sweep(model, curvature):
+    """It began in the body, by up to its set."""
+    rod = Rod(0.06, 1e-4, curvature_per_m=curvature)
+    plan = RigPlan(Envelope("sphere", (42.0,)), model=model, slices=3, sweeps=2, samples=9, rod=rod)
+    poses = plan_poses(plan)
+    turn = 0.06 * curvature * np.linspace(0, 1, 60)
+    free = 60 / turn[-1] * np.stack([np.cos(turn) - 1, np.sin(turn), 0 * turn], axis=1)
+    ends = [row for rows in poses.sweeps() for row in (rows[0], rows[-1])]
+    places = 1000 * poses.position_m[ends, None] + free @ poses.axes()[ends]
+    assert np.linalg.norm(places - [0, 0, 21], axis=2).min() > 21 + 0.99 * plan.space().margin
+
+
 @pytest.mark.slow
 def test_sweeps_pass_the_bounding_body_even_with_a_bent_rod():
     # the body fills what is known of it, and the rod is bent until the last sample that touches

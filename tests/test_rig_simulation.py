@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from rigs import FAULTS
 from scipy.spatial.transform import Rotation
 from small_scans import CUBE, EGG
@@ -18,6 +19,7 @@ from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
+from scan3d.rigs import axes_of
 from scan3d.simulation.rig import (
     BETWEEN,
     Faults,
@@ -180,6 +182,26 @@ def test_the_true_rod_is_all_that_the_nominal_one_is(egg, more):
     assert true.profile == rod.profile
     assert (true.length_m, true.bending_stiffness_Nm2) == pytest.approx((0.066, 1.2e-4))
     assert true.curvatures == rod.curvatures
+
+
+def test_rows_without_an_equilibrium_are_left_out_and_are_not_free():
+    """They were logged as rows in the air, in which the rod passed through the body."""
+    body, rod = standing(trimesh.creation.icosphere(3, 20.0)), Rod(0.06, 1e-4, curvature_per_m=8.0)
+    poses = plan_poses(RigPlan(parse_envelope("sphere:70"), slices=2, sweeps=2, samples=80, clearance=0.1, rod=rod))
+    exact, logged = simulate_rig(body, poses), simulate_rig(body, poses, faults=Faults(rate_hz=50.0))
+    turn = 0.48 * np.linspace(0, 1, 200)
+    free = 60 * np.stack([(np.cos(turn) - 1) / 0.48, np.sin(turn) / 0.48, 0 * turn], axis=1)
+    for log in (exact, logged):
+        assert any("rows are left out" in text for text in log.warnings)
+        rows = (log.move == Move.SWEEP) & ~log.wrench.any(axis=1)
+        places = 1000 * log.position_m[rows, None] + free @ axes_of(log.quaternion[rows])
+        assert np.linalg.norm(places - [0, 0, 20], axis=2).min() > 19.7  # of the facets
+        assert log.wrench[log.move == Move.SWEEP].any()
+    # rows that follow are another sweep
+    swept = exact.recording()
+    assert len(np.unique(swept.sweep)) > len(poses.sweeps())
+    steps = np.linalg.norm(np.diff(swept.position_m, axis=0), axis=1)[np.diff(swept.sweep) == 0]
+    assert steps.max() < 1.01 * np.median(steps)
 
 
 def test_a_sensor_shows_the_wrench_in_its_frame():

@@ -165,6 +165,8 @@ class Space(NamedTuple):
     """Distance that the rod keeps from the bounding body when it does not sweep."""
     floor: float
     """Height above which clamp and rod stay."""
+    aside: float
+    """How far the free rod may reach from the clamp's axis, by its curvature."""
 
     def behind(self, along: Array) -> float:
         """Coordinate along the direction `along` (3,) of a rod behind which its tip is clear of the bounding body."""
@@ -272,6 +274,7 @@ class RigPlan:
             math.sqrt(1 - clearance**2) * length,
             min(0.05, clearance) * length,
             floor,
+            min(0.5 * math.hypot(*rod.curvatures[:2]) * rod.length_m, 1.0) * length,
         )
 
 
@@ -358,7 +361,8 @@ def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, frame:
     outline = plan.around.outline() if np.array_equal(frame, _LEVEL) else space.points @ frame[:2].T
     line = base_line(outline, angle, space.clearance)
     across = (outline - line.origin) @ line.axes[0]
-    x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
+    margin = space.margin + space.aside
+    x0 = np.linspace(across.max() + margin, across.min() - margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
 
 
@@ -460,11 +464,12 @@ def _line(space: Space, along: Array, spread: Array, x: Array, offset: float) ->
     """
     base = _base(space, along)
     # the width of the body is looked up about the line
-    at = offset + space.margin * np.linspace(-1, 1, 17)
+    margin = space.margin + space.aside
+    at = offset + margin * np.linspace(-1, 1, 17)
     across, moved = space.points @ spread, space.points @ x
     high, low = -_lowest(across, -moved, at), _lowest(across, moved, at)
     origin = base + (offset - base @ spread) * spread
-    ends = (high + space.margin, low - space.margin - space.beyond)
+    ends = (high + margin, low - margin - space.beyond)
     start, end = (origin + (value - origin @ x) * x for value in ends)
     lowest_point = min(start[2], end[2]) + space.length * along[2]
     raised = max(space.floor - lowest_point, 0.0) / -along[2]

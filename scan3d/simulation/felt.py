@@ -58,8 +58,8 @@ class Reactions(NamedTuple):
     """(n, 3)"""
     touches: Mask
     """(n,)"""
-    lost: bool = False
-    """Whether the computation found no equilibrium, after which there are no reactions."""
+    known: Mask
+    """(n,) rows in which an equilibrium was found: what is felt in others is not known."""
 
 
 def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) -> list[Reactions]:
@@ -176,13 +176,14 @@ def _in_plane(track: Track, result: planar.Sweep | None) -> Reactions:
     n = len(track.position)
     force, moment = np.zeros((n, 3)), np.zeros((n, 3))
     if result is None:
-        return Reactions(force, moment, np.zeros(n, dtype=bool))
+        return Reactions(force, moment, np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
     touches = result.phase != planar.Phase.NONE
-    if touches[0]:
+    known = np.asarray(result.status != planar.SweepStatus.UNRESOLVED)
+    if touches[0] or not known[0]:
         raise InputError(_begins_in_body(track.number))
     force[:, 0], force[:, 1] = np.nan_to_num(result.f0x), np.nan_to_num(result.f0y)
     moment[:, 2] = np.nan_to_num(result.m0z)
-    return Reactions(force, moment, touches)
+    return Reactions(force, moment, touches, known)
 
 
 def _begins_in_body(number: int) -> str:
@@ -283,7 +284,6 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
         count = len(at)
         s1, force, moment = result.s1[k, :count], result.force[k, :count], result.moment[k, :count]
         touches, turned = np.isfinite(s1), at[:0]
-        lost = bool(result.end[k] == End.LOST)
         if count < len(track.position):
             # across a snap the reactions jump
             joined = touches[:-1] & touches[1:] & ~result.snapped[k, 1:count]
@@ -296,7 +296,10 @@ def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], plac
             row = np.arange(len(track.position), dtype=float)
             turned = row[turns[np.clip(np.searchsorted(at, row) - 1, 0, count - 2)] & ~np.isin(row, at)]
             force, moment, touches = _between(at, (s1, force, moment), touches, joined, len(track.position))
-        found.append((Reactions(np.nan_to_num(force), np.nan_to_num(moment), touches, lost), turned))
+        known = np.ones(len(touches), dtype=bool)
+        if result.end[k] == End.LOST:
+            known[int(np.flatnonzero(touches).max(initial=-1)) + 1 :] = False
+        found.append((Reactions(np.nan_to_num(force), np.nan_to_num(moment), touches, known), turned))
     return found
 
 

@@ -36,6 +36,7 @@ from scan3d.rods import Rod
 from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.simulation.probing import felt_along
 from scan3d.units import UNITS_M
+from scan3d.unmeasured import parts
 from scan3d.workers import check_memory
 
 # Bytes that a row of a log takes while it is computed and written.
@@ -198,8 +199,10 @@ def simulate_rig(
         at_stop &= rows.move == Move.PROBE
         at_stop &= np.linalg.norm(rows.position_m - probed.place_m[of], axis=1) <= NEGLIGIBLE * real.length_m
         wrench[at_stop] = probed.wrench[of[at_stop]]
+    is_known = np.ones(len(wrench), dtype=bool)
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
+        is_known[where] = part.known
     warnings = _warnings(around, poses, reactions, length, radius, metres)
     if slipped:
         warnings += (
@@ -211,6 +214,8 @@ def simulate_rig(
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
     if not convex:
         source["convex"] = False
+    if not is_known.all():
+        source["unresolved"] = int((~is_known).sum())
     if "around" in poses.source:
         stated = str(poses.source["around"])  # in the unit of the poses
         scale = UNITS_M[poses.unit] / UNITS_M[unit]
@@ -218,10 +223,12 @@ def simulate_rig(
     if "placed" in mesh.metadata:
         source["moved"] = mesh.metadata["placed"]
     table = TABLE if "placed" in mesh.metadata else None
+    rows = rows._replace(sweep=parts(rows.sweep, is_known))  # the clamp did not sweep over rows that are left out
     log = RawLog(*rows, wrench, nominal, model, faults, unit, source, warnings, table)
     if faults is None:
-        return log
-    keep = kept(len(log), faults)
+        columns = ("time_s", "sweep", "move", "position_m", "quaternion", "wrench")
+        return log if is_known.all() else replace(log, **{name: getattr(log, name)[is_known] for name in columns})
+    keep = kept(len(log), faults) & is_known
     return replace(
         log,
         time_s=log.time_s[keep],
@@ -360,7 +367,7 @@ def _warnings(
     outside = ~(measures(poses.move[:-1]) & measures(poses.move[1:])) & (poses.move[:-1] != Move.PROBE)
     hit = np.unique(poses.sweep[1:][touching & outside])
     bent = sum(bool(part.touches[-1]) for part in reactions)
-    lost = sum(part.lost for part in reactions)
+    lost = sum(not part.known.all() for part in reactions)
     sentences = []
     if len(hit):
         sentences.append(
@@ -373,7 +380,8 @@ def _warnings(
         )
     if lost:
         sentences.append(
-            f"in {lost} sweeps the computation found no equilibrium after some place, as at a snap; none is logged"
+            f"in {lost} of {len(reactions)} sweeps rows are left out in which no equilibrium of the rod was found, as after a "
+            "snap, or where it is caught or lies along the body"
         )
     return tuple(sentences)
 
