@@ -68,6 +68,11 @@ class Profile:
         """Diameters at arc lengths of any shape, over that at the clamp; past the tip that of the tip."""
         return np.interp(s, self.knots, self.diameters)
 
+    def slope(self, s: Array) -> Array:
+        """Derivative of the diameter; zero past the tip."""
+        slopes = np.append(np.diff(self.diameters) / np.diff(self.knots), 0.0)
+        return np.asarray(slopes[np.searchsorted(self.knots[1:], s, side="right")])
+
     def bending_stiffness(self, s: Array) -> Array:
         """Bending stiffness at arc lengths of any shape, over that at the clamp."""
         return np.asarray(np.square(np.square(self.diameter(s))))

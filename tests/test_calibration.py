@@ -88,6 +88,8 @@ def on_sphere():
 def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, shape, contact):
     recording, _ = recorded(kind, **SHORT)
     reference = Plane.of(recording.rod) if kind == "plane" else Sphere.of(rigs.DIAMETER, recording.rod)
+    if shape is not None:  # of a rod that is thick enough for its taper to count
+        reference = dataclasses.replace(reference, thickness=0.1)
     problem, nominal = fit.measured(recording, reference, "auto")
     every, within = (5, 1e-6) if shape is None else (40, 1e-3)  # differences by steps of 1e-5, of the march
     touches = rows_of(problem.touches, np.arange(0, len(problem.touches.number), every))

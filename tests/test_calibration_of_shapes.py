@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.calibration import fit
-from scan3d.calibration.report import read_rig, write_rig
+from scan3d.calibration.model import Kind, Rig, Touches, contacts, equations
+from scan3d.calibration.references import Sphere
+from scan3d.calibration.report import _rod, read_rig, write_rig
 from scan3d.errors import InputError
+from scan3d.rods import Rod
 from scan3d.spatial import inverse
 from tests import rigs
 from tests.rigs import CENTRE, DIAMETER, ROD, Truth, logged
@@ -51,7 +54,7 @@ def shot(rod, s1, force, torsion=1 / 1.3):
 
 def recorded(rod, seed=0, *, sweeps=30, samples=60, friction=0.2, nominal=ROD):
     """The recording of a rig with the rod, as it logs without knowing of its faults, and the true contacts on the sphere."""
-    rng, radius = np.random.default_rng(seed), DIAMETER / 2 / rod.length + nominal.diameter_m / 2 / rod.length
+    rng = np.random.default_rng(seed)
     n, touching = sweeps * samples, np.arange(sweeps * samples) % samples >= samples // 4
     along = np.clip((np.arange(n) % samples - samples // 4) / (samples - samples // 4), 0, 1)
     number = np.arange(n) // samples
@@ -74,6 +77,7 @@ def recorded(rod, seed=0, *, sweeps=30, samples=60, friction=0.2, nominal=ROD):
     # all clamps of a sweep are turned alike; the sphere lies below the contact
     turn = Rotation.random(sweeps, random_state=rng).as_matrix()[number]
     turn = turn @ axes.swapaxes(1, 2)
+    radius = (DIAMETER + nominal.diameter_m * (1 + (rod.tip - 1) * s1))[:, None] / 2 / rod.length
     clamp = np.einsum("nij,nj->ni", turn, place + radius * normal) * rod.length + CENTRE
     world = turn @ axes
     unit = rod.stiffness / rod.length**2
@@ -93,15 +97,51 @@ def shape_errors(found, rod):
     return found.values[rows] * units - [rod.tip, *rod.curvature], found.standard_deviations[rows] * units
 
 
-def off_sphere(recording, found, rod):
+def off_sphere(recording, rig, rod):
     """Distances of contacts from the true sphere, in rod lengths."""
-    corrected = found.applied(recording)
+    corrected = rig.applied(recording)
     force, moment = corrected.reactions(True)
-    contacts = inverse.reconstruct(force, moment, tolerance=0.1, rod=corrected.rod.in_space())
-    known = (contacts.status == inverse.Status.OK) & (np.linalg.norm(force, axis=1) > 0.3)
-    place = corrected.position_m + corrected.rod.length_m * np.einsum("nji,nj->ni", corrected.axes(), contacts.point)
-    radius = (rigs.DIAMETER + rigs.ROD.diameter_m) / 2
+    found = inverse.reconstruct(force, moment, tolerance=0.1, rod=corrected.rod.in_space())
+    known = (found.status == inverse.Status.OK) & (np.linalg.norm(force, axis=1) > 0.3)
+    place = corrected.position_m + corrected.rod.length_m * np.einsum("nji,nj->ni", corrected.axes(), found.point)
+    radius = rigs.DIAMETER / 2 + rigs.ROD.diameter_m / 2 * corrected.rod.profile.diameter(found.s1[known])
     return np.abs(np.linalg.norm(place[known] - rigs.CENTRE, axis=1) - radius) / rod.length
+
+
+def at_sphere(nominal, stiffness, force, moment, position, axes):
+    """The rig of a nominal rod with a sphere in the origin, and touches (n,) of it."""
+    zero, one, n = np.zeros(3), np.eye(3), len(force)
+    of = Sphere.of(DIAMETER, nominal)
+    rig = Rig(stiffness, zero, np.zeros(2), one, zero, of, 1.0, np.zeros((6, 1)), np.zeros(6), np.zeros((6, 6)),
+              nominal.in_space(), zero, True)  # fmt: skip
+    wrench, number = np.hstack([force, moment]), np.arange(n)
+    kind = np.full(n, Kind.TANGENTIAL, dtype=np.int8)
+    return rig, Touches(wrench, position, axes, np.zeros((n, 1)), number, number, wrench, kind)
+
+
+def test_a_cone_touches_at_its_radius_there():
+    """The radius at the clamp was taken along the whole rod."""
+    rod, nominal = Shaped(tip=0.5), Rod(0.06, 1.9e-4, 0.003, tip_diameter_m=0.0015)
+    s1, normal = np.array([0.4, 0.6, 0.8, 0.95]), np.tile([1.0, 0, 0], (4, 1))
+    force = (0.6 / s1**2 * (1 - 0.5 * s1) ** 2)[:, None] * normal
+    place, axes, reaction, moment = shot(rod, s1, force)
+    away = (DIAMETER / 2 + nominal.radius_m(s1))[:, None] / nominal.length_m * normal
+    found = equations(*at_sphere(nominal, 0.0, reaction, moment, place + away, axes))
+    assert np.abs(found.value).max() < 1e-7
+
+
+def test_the_clamp_of_a_calibration_gives_as_that_of_its_fit():
+    """With another stiffness than the nominal one contacts were 3 mm apart."""
+    nominal = Rod(0.1, 1e-3, clamp_compliance_rad_per_Nm=20.0)
+    force, moment = np.array([[-1.5, -0.3, 0.0]]), np.array([[0.0, 0.0, 0.9]])
+    rig, touches = at_sphere(nominal, np.log(1.3), force, moment, np.zeros((1, 3)), np.eye(3)[None])
+    rod = _rod(nominal, rig)
+    force, moment = (
+        force * nominal.force_unit_N / rod.force_unit_N,
+        moment * nominal.moment_unit_Nm / rod.moment_unit_Nm,
+    )
+    found = inverse.reconstruct(force, moment, rod=rod.in_space())
+    np.testing.assert_allclose(found.point * rod.length_m, contacts(rig, touches)[0] * 0.1, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -118,7 +158,13 @@ def test_a_tapered_and_curved_rod_is_found(tmp_path):
     write_rig(found, tmp_path / "rig.toml")
     again = read_rig(tmp_path / "rig.toml")
     assert again.rod == found.rod
-    assert again.uncertainty() == found.uncertainty()
+    # lengths are written in millimetres
+    one, other = again.uncertainty(), found.uncertainty()
+    assert (one.names, one.exact) == (other.names, other.exact)
+    assert one.sensor == pytest.approx(other.sensor, rel=1e-14)
+    for name in ("covariance", "gains"):
+        written, known = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(written, known, rtol=1e-12, atol=1e-14 * np.abs(known).max())
     assert {"tip_diameter_relative", "curvature_z_per_m", "curvature_x_per_m"} <= set(found.uncertainty().names)
 
 

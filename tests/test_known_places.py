@@ -150,6 +150,25 @@ def test_from_counts_to_contacts(tmp_path, capsys, space):
     assert len(cloud.calibration.covariance) == len(cloud)
 
 
+@pytest.mark.parametrize("told", ["s", "y"])
+def test_a_pin_touches_a_cone_at_its_radius_there(tmp_path, told):
+    """The radius at the clamp was taken everywhere."""
+    rod, nothing = Rod(0.06, 1.9e-4, 0.003, tip_diameter_m=0.001), np.full(12, np.nan)
+    aside, along = np.abs(touches(np.random.default_rng(3), 12, False)[:, :2]).T
+    arc, height = (along, nothing) if told == "s" else (nothing, along)
+    point, distance = np.column_stack([aside, height, 0 * aside]), rod.radius_m(along / rod.length_m) + 0.001
+    touched = Places(arc, point, np.full((12, 3), np.nan), np.zeros(12), distance).of_rod(rod)
+    shown = np.vstack([(wrenches(rod.in_space(), touched)[0] * UNITS)[:, [0, 1, 5]], np.zeros((3, 3))])
+    rows = [f"{k},{','.join(map(repr, row))}" for k, row in enumerate(shown.tolist())]
+    (tmp_path / "log.csv").write_text("\n".join(["touch,a,b,c", *rows]) + "\n")
+    places = [f"{k},{x!r},{y!r},2" for k, (x, y) in enumerate((1000 * np.stack([aside, along], axis=1)).tolist())]
+    places += [f"{k},,," for k in (12, 13, 14)]
+    (tmp_path / "places.csv").write_text("\n".join([f"touch,x_mm,{told}_mm,pin_diameter_mm", *places]) + "\n")
+    (tmp_path / "log.toml").write_bytes(to_toml({"rod": rod_section(rod)}).encode())
+    found = scan3d.calibrate_signals(tmp_path / "log.csv", tmp_path / "places.csv")
+    assert found.matrix == pytest.approx(np.eye(3), abs=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "why"),

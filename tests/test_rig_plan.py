@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import planar
 from planar.elastica import bend
@@ -25,7 +26,7 @@ from scan3d.planning.rig import (
 )
 from scan3d.poses import Move
 from scan3d.simulation.felt import steps_touch
-from scan3d.simulation.rig import simulate_rig
+from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.spatial.bodies import sphere_directions
 
 BODIES = ("cylinder:80x90", "sphere:60", "box:40x60x30", "cylinder:10x100", "box:90x20x10")
@@ -162,6 +163,15 @@ def test_a_force_limit_keeps_the_clamp_farther_away():
     assert 0.02 < np.linalg.norm(log.wrench[:, :3], axis=1).max() < 0.15
     with pytest.raises(InputError, match=r"may push with up to .* the limit is 10 mN; choose a rod of 0.* times the"):
         plan_poses(RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=0.01))
+
+
+def test_the_force_of_a_rod_that_is_soft_at_its_clamp_is_that_of_its_stiffest_part():
+    """The log of a plan with a limit of 0.8 N had a force of 1.7 N."""
+    rod = Rod(0.06, ((0, 1e-4), (0.006, 1e-3), (0.06, 1e-3)))
+    plan = RigPlan(parse_envelope("sphere:42"), slices=3, sweeps=1, samples=96, rod=rod, max_force_N=4.0)
+    assert largest_force(rod, plan.resolved_clearance()) == pytest.approx(4.0)
+    log = simulate_rig(standing(trimesh.creation.icosphere(2, 20.0)), plan_poses(plan))
+    assert 0.1 < np.linalg.norm(log.wrench[:, :3], axis=1).max() < 4.0
 
 
 def test_units_and_floor():

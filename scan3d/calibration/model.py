@@ -273,6 +273,15 @@ def equations(rig: Rig, touches: Touches) -> Equations:
             by_rig[:, row, SHAPE:GAINS] += np.einsum("ni,nij->nj", tangent_in_pose @ turn, rod.by_shape[:, 3:6])
         by_rig[:, row, PLACE:LENGTH] = by_place
         by_row[:, row, 6:] = by_point
+    # the reference is fattened by the radius at the clamp, and a tapered rod has another one at the contact
+    thickness, profile = rig.reference.thickness, rig.rod.profile
+    value[:, 2] -= thickness * (profile.diameter(rod.s1) - 1)
+    taper = thickness * profile.slope(rod.s1)
+    by_wrench[:, 2] -= taper[:, None] * rod.by_s1
+    if rod.by_shape is not None:
+        by_rig[:, 2, SHAPE:GAINS] -= taper[:, None] * rod.by_shape[:, 6]
+        growth = np.exp(rig.shape[0]) * np.multiply(profile.knots, rig.stated.profile.diameters)
+        by_rig[:, 2, SHAPE] -= thickness * np.interp(rod.s1, profile.knots, growth)
     value[tip, 3] = rod.s1[tip] - rig.length
     by_wrench[tip, 3], by_rig[tip, 3], by_row[tip, 3] = rod.by_s1[tip], 0, 0
     by_rig[tip, 3, LENGTH] = -1

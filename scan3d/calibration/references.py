@@ -1,7 +1,7 @@
 """What a rig touches to be calibrated, a sphere or a plane at a place that need not be known, and the rows that are contacts.
 
-A reference is fattened by the rod's radius, so that it is touched by the rod's centre line.  Lengths are in nominal lengths
-of the rod.
+A reference is fattened by the rod's radius at the clamp, so that it is touched by the centre line of a rod that does not taper.
+Lengths are in nominal lengths of the rod.
 
 A sweep begins in the air, and most sweeps end there.  From each end a run of rows belongs to the air until the reactions
 leave the level of that end by more than the noise; rows beyond, which may be light touches, are left out with a margin.
@@ -62,6 +62,8 @@ class Sphere:
     """(3,) its centre."""
     axes: Array
     """(3, 3) as columns."""
+    thickness: float = 0.0
+    """The rod's radius at its clamp, which is part of `radius`."""
 
     kind = "sphere"
     extent, check = "a tenth of the sphere's radius", "the diameter and its unit"
@@ -79,7 +81,8 @@ class Sphere:
                 f"the reference sphere has a diameter of {length(diameter_m, 'm')}, and the rod a length of "
                 f"{length(rod.length_m, 'm')}; check the unit of the diameter, or touch a plane"
             )
-        return cls(diameter_m, (diameter_m + rod.diameter_m) / 2 / rod.length_m, np.zeros(3), np.eye(3))
+        thickness = rod.diameter_m / 2 / rod.length_m
+        return cls(diameter_m, diameter_m / 2 / rod.length_m + thickness, np.zeros(3), np.eye(3), thickness)
 
     @property
     def title(self) -> str:
@@ -127,6 +130,8 @@ class Plane:
     """(3,) a point of it."""
     axes: Array
     """(3, 3) as columns; the last is the outward normal."""
+    thickness: float = 0.0
+    """The rod's radius at its clamp, which is all of `radius`."""
 
     kind = "plane"
     title = "a plane"
@@ -138,7 +143,8 @@ class Plane:
     @classmethod
     def of(cls, rod: Rod) -> Plane:
         """The plane z = 0 that a rod touches."""
-        return cls(rod.diameter_m / 2 / rod.length_m, np.zeros(3), np.eye(3))
+        thickness = rod.diameter_m / 2 / rod.length_m
+        return cls(thickness, np.zeros(3), np.eye(3), thickness)
 
     def moved(self, step: Array) -> Plane:
         axes = self.axes @ Rotation.from_rotvec([step[1], step[2], 0.0]).as_matrix()

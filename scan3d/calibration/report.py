@@ -403,6 +403,8 @@ def _rod(nominal: Rod, rig: Rig) -> Rod:
         nominal,
         length_m=long,
         bending_stiffness_Nm2=stiffness,
+        # the fit has that of the nominal rod in its unit, L/EI
+        clamp_compliance_rad_per_Nm=nominal.clamp_compliance_rad_per_Nm * math.exp(-rig.stiffness),
         tip_diameter_m=None,
         stiffness_table=(),
         diameter_table=(),

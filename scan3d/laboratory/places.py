@@ -21,6 +21,7 @@ from scan3d.files.tables import Table, read_table
 from scan3d.files.text import Section, did_you_mean, read_frame, read_rod, read_section, read_transducer
 from scan3d.recording import rounding_sd
 from scan3d.rigs import SHOWS
+from scan3d.rods import Rod
 from scan3d.units import FACTORS, stated_unit, without_unit
 
 _LENGTHS = ("s", "x", "y", "z", "sd", "pin_diameter")
@@ -63,7 +64,7 @@ def calibrate_signals(log: str | Path, places: str | Path, map: str | Path | Non
         rod,
         read_frame(sensor),
         read_transducer(sensor, len(names)).channels,
-        _places(where, told, rod.diameter_m),
+        _places(where, told, rod),
         Signals(mean, np.array([len(row) for row in rows]), spread, rounding, names),
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
         friction=float(np.nan_to_num(friction).max()),
@@ -162,7 +163,7 @@ def _quantities(table: Table) -> dict[str, Array]:
     return found
 
 
-def _places(table: Table, told: dict[str, Array], thickness_m: float) -> Places:
+def _places(table: Table, told: dict[str, Array], rod: Rod) -> Places:
     """The places.  Raises InputError where a touch is not told well enough."""
     nothing, none = np.full(len(table), np.nan), np.zeros(len(table))
     arc, point, force = (
@@ -190,6 +191,8 @@ def _places(table: Table, told: dict[str, Array], thickness_m: float) -> Places:
             f"{table.place(int(np.argmax(wrong)))} has a place that is not in front of the clamp: y and s are above 0"
         )
     pin = told.get("pin_diameter", nothing)
-    distance = np.where(np.isfinite(pin), (np.nan_to_num(pin) + thickness_m) / 2, 0.0)
+    # where the arc length is not told, the place along the rod is nearly it
+    radius = rod.radius_m(np.where(np.isfinite(arc), arc, np.nan_to_num(point[1])) / rod.length_m)
+    distance = np.where(np.isfinite(pin), np.nan_to_num(pin) / 2 + radius, 0.0)
     sd = np.nan_to_num(told.get("sd", none))
     return Places(arc, np.column_stack(point), np.column_stack(force), sd, distance)

@@ -257,7 +257,7 @@ class RigPlan:
                 f"and the limit is {units.force(self.max_force_N)}; choose a rod of "
                 f"{(self.max_force_N / least) ** 0.25:.2g} times the diameter, or a longer one"
             )
-        return max(self.clearance, math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N))
+        return max(self.clearance, math.sqrt(FORCE_FACTOR * _stiffest_unit(rod) / self.max_force_N))
 
     def space(self) -> Space:
         """Where the clamp may go between sweeps."""
@@ -280,7 +280,12 @@ class RigPlan:
 
 def largest_force(rod: Rod, clearance: float) -> float:
     """The force in N below which a rod pushes any body that is a clearance, in rod lengths, in front of its clamp."""
-    return rod.force_unit_N * max(FORCE_FACTOR / clearance**2, TIP_FACTOR)
+    return _stiffest_unit(rod) * max(FORCE_FACTOR / clearance**2, TIP_FACTOR)
+
+
+def _stiffest_unit(rod: Rod) -> float:
+    """EI/L² in N where the rod is stiffest."""
+    return rod.force_unit_N * max(rod.profile.diameters) ** 4
 
 
 def plan_poses(plan: RigPlan) -> PoseList:
