@@ -217,7 +217,9 @@ def unloaded(
 
     Raises InputError for too few rows in the air.
     """
-    runs = [np.flatnonzero(sweep == number) for number in np.unique(sweep)]
+    _, of_row = np.unique(sweep, return_inverse=True)
+    of_row = of_row.reshape(-1)
+    runs = np.split(np.argsort(of_row, kind="stable"), np.cumsum(np.bincount(of_row))[:-1])
     largest = np.maximum(np.repeat([np.abs(wrench[:, part]).max() for part in _PARTS], 3), np.finfo(float).tiny ** 0.25)
     known, least = np.repeat(noise, 3), 1e-6 * largest  # so that exact data have weights
     ends = [rows[part] for rows in runs for part in (slice(0, _LEVEL), slice(-_LEVEL, None)) if len(rows) > _LEVEL]
@@ -234,9 +236,13 @@ def unloaded(
     quick = np.maximum(np.maximum(known, _noise_of_runs(wrench, quiet, channels, np.mean)), least)
     for name in _models(model, sweep, air):
         basis = _basis(name, sweep)
-        tare: Array = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
+        if name == "sweep":  # by least squares the mean of the rows of each
+            count = np.bincount(of_row[air])
+            tare: Array = np.stack([np.bincount(of_row[air], one) / count for one in wrench[air].T])
+        else:
+            tare = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
         freedom = max(int(air.sum()) - basis.shape[1], 1)
-        square: Array = ((wrench[air] - basis[air] @ tare.T) ** 2).sum(axis=0) / freedom
+        square: Array = ((wrench - basis @ tare.T)[air] ** 2).sum(axis=0) / freedom
         # chance makes four standard deviations; noise that is not stated is that of the same rows, which is less certain
         allowed = 1 + 4 * float(np.sqrt(2 / freedom / channels.sum())) + 0.1 * (not all(noise))
         if (square / quick**2)[channels].mean() < allowed:

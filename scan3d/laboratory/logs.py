@@ -567,12 +567,20 @@ def without_transfers(
         return sweep, 0
     axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()
     kept = with_contact.copy()
-    for k in np.flatnonzero(~with_contact):
-        same = with_contact & (np.abs(axes - axes[k]).max(axis=(1, 2)) < _TURNING)
+    others, beside = np.flatnonzero(~with_contact), np.flatnonzero(with_contact)
+    _, one, group = np.unique(axes[others].reshape(-1, 9), axis=0, return_index=True, return_inverse=True)
+    for number, k in enumerate(others[one]):  # of strokes in the same orientation, of which a log has few
+        strokes = others[group.reshape(-1) == number]
+        same = beside[np.abs(axes[beside] - axes[k]).max(axis=(1, 2)) < _TURNING]
         x, y = axes[k, :, 0], axes[k, :, 1]
-        reaches = position[first[k]] @ y >= position[first] @ y - 0.05 * length
-        start, end = np.sort([position[first] @ x, position[last] @ x], axis=0)
-        kept[k] = (same & reaches & (start <= end[k]) & (start[k] <= end)).any()
+        rows = np.concatenate([same, strokes])
+        height = position[first[rows]] @ y
+        start, end = np.sort([position[first[rows]] @ x, position[last[rows]] @ x], axis=0)
+        m = len(same)
+        kept[strokes] = [
+            ((above >= height[:m] - 0.05 * length) & (start[:m] <= stop) & (begin <= end[:m])).any()
+            for above, begin, stop in zip(height[m:], start[m:], end[m:], strict=True)
+        ]
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
     return renumbered[np.where(sweep >= 0, np.searchsorted(numbers, sweep), -1)], int((~kept).sum())
 
