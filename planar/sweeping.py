@@ -181,8 +181,8 @@ def sweep(
         sweep (with several coefficients: the end for the lowest of them); by default 200 of them, or one for each friction.
     rod
         None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
-        States whose moment changes its sign between clamp and contact are left out, and those in which it would lie in the
-        contour beside its contact are unresolved.  Convex contours only.
+        States whose moment changes its sign between clamp and contact are left out, and samples in which it would lie in the
+        contour beside its contact, or a curved one without any, are unresolved.  Convex contours only.
 
     On a contour that is not convex the rod is followed from sample to sample with all of its contacts (``any_body``); the
     sweep begins where the straight rod first touches, whatever the first base position is.  `status` has a sentence for each
