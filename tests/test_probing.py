@@ -541,3 +541,9 @@ def test_sweeps_and_probings_of_six_axes_have_a_surface():
 def test_bodies_that_are_not_convex_are_probed_whatever_the_planes():
     plan = scan3d.Plan(slices=8, samples=16, axis="free", spacing="adaptive", known=0.3)
     assert scan3d.simulate(trimesh.creation.torus(10.0, 4.0, 24, 12), plan).in_probings.any()
+
+
+@pytest.mark.parametrize("setting", [{"noise": 0.2}, {"stop_force": "1N"}])
+def test_forces_that_buckle_the_rod_end_no_probing(setting):
+    with pytest.raises(scan3d.InputError, match="far below what buckles"):
+        scan3d.simulate(trimesh.creation.icosphere(2, 10.0), scan3d.Plan(probing="only", **setting))

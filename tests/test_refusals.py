@@ -90,7 +90,6 @@ OF_SCAN3D = [
     (scan3d.Plan, [
         ({"stop_force": "2 furlongs"}, "such as 2mN"),
         ({"stop_force": 0.7}, "far below what buckles"),
-        ({"noise": 0.2, "probing": "only"}, "far below what buckles"),
         ({"stop_force": 1e-3, "noise": 1e-3}, "stand out of the noise"),
         ({"known": 1.5}, "a share from 0 to 1"),
         ({"known": 0.9, "probing": "off"}, "known says when a probing ends, and probing is off"),

@@ -188,16 +188,14 @@ class Plan:
         return float(ends[0]), float(ends[1])
 
     def stop_force_of(self, rod: Rod | None) -> float:
-        """The force at which a probing ends, in EI/L² of a rod; in newtons it is judged when the rod is known.
+        """The force at which a probing ends, in EI/L² of a rod; in newtons, and by the noise, it is judged with the rod.
 
         Raises InputError for what is no such force.
         """
         stands_out = FORCE_SIGMAS * self.noise
         given, one = self.stop_force, 1.0 if rod is None else rod.force_unit_N
-        automatic = f"{max(0.01, 2 * stands_out)!r}"
-        match = re.fullmatch(
-            r"(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*(\D.*)?", automatic if given == "auto" else str(given).strip()
-        )
+        text = repr(max(0.01, 2 * stands_out)) if given == "auto" else str(given).strip()
+        match = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*(\D.*)?", text)
         value, unit = (float(match[1]), match[2]) if match else (0.0, None)
         factor = FACTORS["force"].get(spelled(unit, "force") or "") if unit else one
         if factor is None or not 0 < value < math.inf:
@@ -206,7 +204,7 @@ class Plan:
                 f"{given!r}"
             )
         found = value * factor / one
-        if (unit is None or rod is not None) and not stands_out < found <= LARGEST_STOP_FORCE:
+        if (rod is not None or (unit is None and given != "auto")) and not stands_out < found <= LARGEST_STOP_FORCE:
             raise InputError(
                 f"stop_force must stand out of the noise, above {stands_out:.3g} EI/L², and be at most "
                 f"{LARGEST_STOP_FORCE:g} EI/L², far below what buckles the rod; got {given}"
