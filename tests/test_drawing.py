@@ -13,6 +13,7 @@ from small_scans import CUBE, FEW, RESULTS, SETTINGS, scanned
 import scan3d
 from scan3d import pipeline
 from scan3d.pictures import canvas, drawing
+from scan3d.workers import heard
 
 pytestmark = pytest.mark.slow
 
@@ -85,6 +86,14 @@ def test_a_child_that_has_drawn_draws_the_next_scene_alike():
         (drawing.draw(scanned(CUBE), JOBS), [child.process.pid for child in drawing._IDLE]) for _ in range(2)
     )
     assert once == again
+
+
+@pytest.mark.rendering
+def test_frames_of_a_movie_are_counted_while_a_child_draws_them():
+    told = []
+    with heard(lambda *what: told.append(what)):
+        drawing.draw(scanned(CUBE), [(".gif", {"frames": 3})])
+    assert told == [("frames", done, 3) for done in range(3)]
 
 
 @pytest.mark.usefixtures("renderer")

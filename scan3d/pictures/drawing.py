@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextvars
 import os
 import pickle
 import signal
@@ -23,7 +24,7 @@ from scan3d.errors import InputError
 from scan3d.pictures import canvas
 from scan3d.pictures.figures import Sheet, blank_figure, own_style
 from scan3d.pictures.parts import Scene
-from scan3d.workers import python
+from scan3d.workers import heard, python, tell
 
 Job = tuple[str, dict[str, Any]]
 """What is drawn: the file ending, and the keywords of `views.picture`, or of `views.movie` for the ending of a movie."""
@@ -76,7 +77,9 @@ class _Child:
                 self.process.stdin.write(request)
                 self.process.stdin.flush()
                 if self.is_ready(_TIMEOUT_S):
-                    answer: list[bytes] | InputError = pickle.load(self.process.stdout)
+                    answer: list[bytes] | InputError | tuple[str, int, int]
+                    while isinstance(answer := pickle.load(self.process.stdout), tuple):
+                        tell(*answer)
                     self.drawn_s = time.monotonic()
                     return answer
             except (OSError, EOFError, pickle.UnpicklingError):
@@ -142,7 +145,8 @@ class Drawing:
         self._child: _Child | None = None
         self._is_over = False
         self._drawn: Future[list[bytes]] = Future()
-        threading.Thread(target=self._work, daemon=True).start()
+        # what the child tells is heard where it was asked for
+        threading.Thread(target=contextvars.copy_context().run, args=(self._work,), daemon=True).start()
 
     def __enter__(self) -> Drawing:
         return self
@@ -236,6 +240,11 @@ def serve() -> None:
     """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print goes elsewhere
+
+    def answer(what: list[bytes] | InputError | tuple[str, int, int]) -> None:
+        pickle.dump(what, answers)
+        answers.flush()
+
     canvas.assume_renderer()
     _warm_up()
     answers.write(_READY)
@@ -248,11 +257,11 @@ def serve() -> None:
             os._exit(0)
         idle.cancel()
         try:
-            drawn: list[bytes] | InputError = _pictures(scene, jobs)
+            with heard(lambda *told: answer(told)):
+                drawn: list[bytes] | InputError = _pictures(scene, jobs)
         except InputError as error:
             drawn = error
-        pickle.dump(drawn, answers)
-        answers.flush()
+        answer(drawn)
         idle = threading.Timer(_IDLE_S, os._exit, [0])
         idle.start()
 

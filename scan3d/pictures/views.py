@@ -25,6 +25,7 @@ from scan3d.pictures.canvas import Canvas, need_renderer
 from scan3d.pictures.figures import FONT, Sheet, blank_figure, own_style
 from scan3d.pictures.parts import DIRECTION, TANGENTIAL, Scene, ShownSweep, has_rods, shown_sweep
 from scan3d.units import FORCES, MOMENTS, UNITS_M, number, reaction_unit, share, unit_symbol
+from scan3d.workers import told
 
 if TYPE_CHECKING:
     from scan3d.laboratory.importing import Imported
@@ -472,7 +473,7 @@ def _frames_of_movie(scene: Scene, frames: int) -> Iterator[Image]:
     part = 0.92  # of the height, above the caption
     axes = figure.add_axes((0, 1 - part, 1, part))
     width, height = round(_SIZE[0] * _DPI), round(part * _SIZE[1] * _DPI)
-    for stage in stages:
+    for stage in told(stages, "frames"):
         actors = [
             canvas.add_points(scene.points[stage.contacts], TANGENTIAL, 3)
         ]  # smaller than in pictures, as frames are
