@@ -45,6 +45,10 @@ class Completed(NamedTuple):
     roots: Index
     """(n,) how many values of the missing channel would do."""
 
+    def __repr__(self) -> str:
+        known = int(np.isfinite(self.reactions[1:]).all(axis=0).sum())
+        return f"Completed reactions of {len(self.roots)} rows, {known} of them with a value of the missing channel"
+
 
 def complete(
     x0: ArrayLike,

@@ -419,6 +419,11 @@ class Errors(NamedTuple):
     slope: Array
     """(n,) of the slope in tangential contact."""
 
+    def __repr__(self) -> str:
+        finite = self.largest[np.isfinite(self.largest)]
+        at_median = f", places within {np.median(finite):.2g} rod lengths in the median" if len(finite) else ""
+        return f"Errors of {len(self.largest)} rows, {len(finite)} of them finite{at_median}"
+
 
 def errors(
     f0x: ArrayLike,

@@ -96,6 +96,12 @@ def test_a_notebook_shows_results_short_and_with_a_picture_where_that_can_be_dra
     for result in shown:
         assert len(repr(result)) < 80
         assert result._repr_html_().startswith(f"<p>{result!r}</p><svg")
+    no_pictures = [
+        planar.errors(*sweep.reactions[1:], noise=(1e-4, 1e-4)),
+        planar.complete(sweep.x0, sweep.f0x, None, sweep.m0z, friction=0.0),
+    ]
+    assert repr(no_pictures[0]).startswith("Errors of 20 rows, ")
+    assert repr(no_pictures[1]).startswith("Completed reactions of 20 rows, ")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     for result in shown:
         assert result._repr_html_() == f"<p>{result!r}</p>"
