@@ -120,6 +120,17 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
         scan3d.reconstruct(replace(whole, rod=replace(rod, curvature_per_m=-3.0)), model="planar")
 
 
+def test_sweeps_of_a_body_that_is_not_convex_need_the_straight_rod():
+    """They pass it in more than one way, which is known of that rod only: nothing is read of others as if it were convex."""
+    plan = scan3d.Plan(slices=3, sweeps=4, samples=40, rod=CONE)
+    swept = scan3d.simulate(trimesh.creation.icosphere(1, 8.0), plan)
+    assert len(scan3d.reconstruct(swept)) > 0
+    for rod in (CONE, CURVED, replace(CONE, curvature_per_m=-2.0)):
+        stated = replace(swept, rod=rod, source={**swept.source, "convex": False})
+        with pytest.raises(InputError, match="read by a straight, uniform, weightless rod"):
+            scan3d.reconstruct(stated)
+
+
 @pytest.mark.slow
 def test_planar_scans_with_heavy_rods_find_the_body_where_gravity_lies_in_their_planes(tmp_path):
     mesh, rod = trimesh.creation.icosphere(1, 8.0), replace(WIRE, weight_N=0.1 * WIRE.force_unit_N)
