@@ -209,6 +209,16 @@ def bar_of(image):
     return bar[colored[0] : colored[-1] + 1]
 
 
+def test_a_scale_says_where_values_lie_beyond_it():
+    values = np.array([-3.0, 0.5, np.nan, 1.0])
+    for low, high, beyond, extend in ((-3, 1, (False, False), "neither"), (-1, 2, (True, False), "min"),
+                                      (-3, 0.9, (False, True), "max"), (-1, 0, (True, True), "both")):  # fmt: skip
+        shaded, figure = parts.shade(values, "a in mm", low, high), figures.blank_figure(2.0)
+        figures.color_bar(figure, shaded, Sheet())
+        assert shaded.beyond == beyond
+        assert figure.axes[0]._colorbar.extend == extend
+
+
 @pytest.mark.slow
 @pytest.mark.rendering
 def test_the_surface_by_its_deviation(cube, tmp_path):

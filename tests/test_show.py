@@ -47,6 +47,16 @@ def shown(folder, call):
 
 
 @pytest.mark.slow
+def test_a_true_body_that_refutes_the_certificate_is_told(folder, tmp_path, shown):
+    """The recorded mesh is not; the same one a bound aside is."""
+    other = scan3d.load_mesh(EGG)
+    other.apply_translation([0.0, 0.05 * np.linalg.norm(other.extents), 0.0]).export(tmp_path / "other.stl")
+    for mesh, says in ((EGG, ""), (tmp_path / "other.stl", "more than is certified")):
+        code, _, err = shown("--truth", mesh, "--html", tmp_path / "a.html", "--overwrite")
+        assert (code, says in err, bool(err)) == (0, True, bool(says))
+
+
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown, call):
     picture, page = tmp_path / "a.svg", tmp_path / "a.html"

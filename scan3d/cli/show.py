@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from scan3d.choices import WITH_OTHER, Color, View, one_of
 from scan3d.cli.terminal import File, Flag, Mesh, Output, Overwrite, print_result, printable
 from scan3d.errors import InputError, UsageError
-from scan3d.units import Unit
+from scan3d.units import Unit, length
 
 
 def show(
@@ -106,6 +106,8 @@ def show(
             check_file(file, inputs, overwrite, option)
     output.progress.tell("reading")
     scene = read_scene(path, truth, hull, unit)
+    if truth and scene.bound is not None:
+        _say_if_refuted(output, scene, truth)
     if against:
         from scan3d.results import other_surface
 
@@ -125,6 +127,18 @@ def show(
     files = [str(file) for file in (html, movie, screenshot) if file]
     text = "\n".join(printable(f"written to {file}") for file in files)
     return print_result(output, {"shown": scene.name, "files": files}, text)
+
+
+def _say_if_refuted(output: Output, scene: Any, truth: Path) -> None:
+    """Say that a body is farther from the surface than is certified, by more than the digits of files."""
+    from scan3d.pictures.parts import shown_surface
+
+    _, off, bound, _ = shown_surface(scene)
+    if (abs(off) > bound + 1e-6 * scene.diagonal).any():
+        output.progress.say(
+            f"the surface is up to {length(abs(off).max(), scene.unit)} off {truth}, more than is certified: this is not the "
+            "body that was touched, it lies elsewhere or has another unit, or a premise of the certificate does not hold"
+        )
 
 
 def _check_picture(

@@ -286,7 +286,8 @@ def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> fl
         return float(box_of(figure, legend(figure, kinds, 1, sheet.font)).x0)
     width, height = figure.get_size_inches()
     place = [0.0, 0.15, 1.05 * sheet.em / width, 0.70]
-    bar = figure.colorbar(ScalarMappable(shaded.norm, shaded.map), cax=figure.add_axes(place))
+    extend = ("neither", "min", "max", "both")[shaded.beyond[0] + 2 * shaded.beyond[1]]
+    bar = figure.colorbar(ScalarMappable(shaded.norm, shaded.map), cax=figure.add_axes(place), extend=extend)
     bar.ax.tick_params(labelsize=sheet.font - 1)
     bar.outline.set_linewidth(0.05 * sheet.font)
     if type(shaded.norm).__name__ == "Normalize":

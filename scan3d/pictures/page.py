@@ -191,6 +191,7 @@ def _scale(shaded: parts.Shade, weights: Array) -> dict[str, Any]:
         "values": _array(shaded.values),
         "low": float(shaded.norm.vmin),
         "high": float(shaded.norm.vmax),
+        "beyond": shaded.beyond,
         "log": type(shaded.norm).__name__ == "LogNorm",
         "stops": stops,
         "shares": shares.tolist(),

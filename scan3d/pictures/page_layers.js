@@ -59,7 +59,9 @@ function key(place, layer) {  // what the colours mean
   }
   add(place, "div", "bar").style.background = "linear-gradient(to right," + scale.stops.join() + ")";
   const ends = add(place, "div", "ends");
-  for (const t of scale.log ? [0, 1] : [0, 0.5, 1]) add(ends, "span", "", number(valueAt(scale, t)));
+  // values beyond the scale have the colours of its ends
+  const sign = t => t === 0 && scale.beyond[0] ? "≤ " : t === 1 && scale.beyond[1] ? "≥ " : "";
+  for (const t of scale.log ? [0, 1] : [0, 0.5, 1]) add(ends, "span", "", sign(t) + number(valueAt(scale, t)));
 }
 
 function brief(layer) {  // what is to be seen without the panel

@@ -205,6 +205,13 @@ class Shade(NamedTuple):
     kinds: tuple[tuple[str, str], ...] = ()
     """Names and colours of the kinds that the values number."""
 
+    @property
+    def beyond(self) -> tuple[bool, bool]:
+        """Whether values lie below the scale, and above it, by more than rounding: they have the colours of its ends."""
+        low, high = self.norm.vmin, self.norm.vmax
+        known, rounding = self.values[np.isfinite(self.values)], 1e-9 * (high - low)
+        return bool((known < low - rounding).any()), bool((known > high + rounding).any())
+
 
 def largest_known(values: Array) -> float:
     """The largest finite value; 0 if there is none."""
