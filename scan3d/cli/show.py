@@ -134,6 +134,8 @@ def _say_if_refuted(output: Output, scene: Any, truth: Path) -> None:
     from scan3d.pictures.parts import shown_surface
 
     _, off, bound, _ = shown_surface(scene)
+    assert off is not None
+    assert bound is not None
     if (abs(off) > bound + 1e-6 * scene.diagonal).any():
         output.progress.say(
             f"the surface is up to {length(abs(off).max(), scene.unit)} off {truth}, more than is certified: this is not the "
