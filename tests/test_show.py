@@ -54,6 +54,7 @@ def test_a_true_body_that_refutes_the_certificate_is_told(folder, tmp_path, show
     for mesh, says in ((EGG, ""), (tmp_path / "other.stl", "more than is certified")):
         code, _, err = shown("--truth", mesh, "--html", tmp_path / "a.html", "--overwrite")
         assert (code, says in err, bool(err)) == (0, True, bool(says))
+        assert (f"refuted: {mesh}" in (tmp_path / "a.html").read_text()) is bool(says)
 
 
 @pytest.mark.slow

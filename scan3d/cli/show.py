@@ -107,7 +107,7 @@ def show(
     output.progress.tell("reading")
     scene = read_scene(path, truth, hull, unit)
     if truth and scene.bound is not None:
-        _say_if_refuted(output, scene, truth)
+        scene = _if_refuted(output, scene, truth)
     if against:
         from scan3d.results import other_surface
 
@@ -129,18 +129,23 @@ def show(
     return print_result(output, {"shown": scene.name, "files": files}, text)
 
 
-def _say_if_refuted(output: Output, scene: Any, truth: Path) -> None:
-    """Say that a body is farther from the surface than is certified, by more than the digits of files."""
+def _if_refuted(output: Output, scene: Any, truth: Path) -> Any:
+    """The scene; where the body is farther from the surface than is certified, by more than the digits of files, that is said,
+    and is the headline of its page."""
     from scan3d.pictures.parts import shown_surface
 
     _, off, bound, _ = shown_surface(scene)
     assert off is not None
     assert bound is not None
-    if (abs(off) > bound + 1e-6 * scene.diagonal).any():
-        output.progress.say(
-            f"the surface is up to {length(abs(off).max(), scene.unit)} off {truth}, more than is certified: this is not the "
-            "body that was touched, it lies elsewhere or has another unit, or a premise of the certificate does not hold"
-        )
+    if not (abs(off) > bound + 1e-6 * scene.diagonal).any():
+        return scene
+    words = f"refuted: {truth} is up to {length(abs(off).max(), scene.unit)} off the surface, more than is certified"
+    output.progress.say(
+        f"{words}: it is not the body that was touched, lies elsewhere or has another unit, or a premise of the certificate "
+        "does not hold"
+    )
+    others = [row for row in scene.key_figures if row[0] != "scan"]
+    return dataclasses.replace(scene, key_figures=(("scan", words), *others))
 
 
 def _check_picture(
