@@ -23,7 +23,7 @@ from scan3d.planning.heights import next_heights
 from scan3d.planning.plan import further_directions, open_places
 from scan3d.poses import TABLE, PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
-from scan3d.reconstruction.agreement import BELOW_TABLE
+from scan3d.reconstruction.agreement import BELOW_TABLE, below_table
 from scan3d.reconstruction.contacts import into_body
 from scan3d.reconstruction.slices import stacks
 from scan3d.recording import Recording, joined
@@ -274,14 +274,10 @@ def around_contacts(recording: Recording, model: str) -> rig.Envelope:
 
     Raises NoBodyError for contacts that span no body, and InputError for those below z = 0, where the table is.
     """
-    cloud = reconstruct(recording, model=model)
+    cloud = reconstruct(replace(recording, table_m=TABLE), model=model)
     points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
     hull(points)  # raises NoBodyError: one slice does not tell how large the body is
-    low, high = float(points[:, 2].min()), float(points[:, 2].max())
-    if low < -1e-6 * cloud.rod_length:
-        raise InputError(
-            f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that stands on z "
-            "= 0 about the z axis; move the frame of the poses"
-        )
-    radius = float(np.hypot(*points[:, :2].T).max())
+    if below := below_table(cloud):
+        raise InputError(f"poses are planned for a body that stands on z = 0 about the z axis: {below[0].message}")
+    radius, high = float(np.hypot(*points[:, :2].T).max()), float(points[:, 2].max())
     return rig.Envelope("cylinder", tuple(float(f"{1.1 * size:.4g}") for size in (2 * radius, high)))

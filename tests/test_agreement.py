@@ -149,3 +149,25 @@ def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys, no_pictur
     assert report["certificate"]["bound"] is None
     assert main([*arguments, "--out", str(tmp_path / "strict"), "--strict"]) == 1
     assert (tmp_path / "strict" / "report.json").exists()
+
+
+def test_probings_beside_sweeps_are_judged_as_probings(egg):
+    """One that touches nothing has no direction of a sweep, and what touches below the table is told."""
+
+    def codes(recording):
+        return [warning.code for warning in analyse(recording).warnings]
+
+    swept = replace(egg, source={**egg.source, "convex": False})
+    assert codes(swept) == []
+    along = egg.axes()[0, 1]
+    way = np.linspace(-6.0, -5.0, 20)[:, None] * egg.rod.length_m * along
+    nothing = {"force_N": np.zeros((20, 2)), "moment_Nm": np.zeros(20)}
+    base, pose = egg.position_m[0] + way, np.tile(egg.quaternion[0], (20, 1))
+    missed = replace(egg, sweep=np.zeros(20, dtype=int), position_m=base, quaternion=pose, **nothing)
+    both = joined([swept, missed])
+    assert both.in_probings.sum() == 20
+    assert codes(both) == []
+    ring = scan3d.simulate(trimesh.creation.torus(10.0, 4.0, 24, 12), scan3d.Plan(slices=6, samples=16, known=0.3))
+    assert 0 < ring.in_probings.sum() < len(ring)
+    assert codes(ring) == []
+    assert codes(replace(ring, table_m=-2e-3)) == ["below-table"]

@@ -50,6 +50,14 @@ def bounded(mesh, count, seed, place_sd=0.0, normal_sd=0.0):
     return certificate(bounds, surface).bound / apart, low * (1 - 1e-9) <= mesh.volume <= high * (1 + 1e-9)
 
 
+def test_a_margin_of_places_leaves_the_deviations_of_normals():
+    points, normals = touched(trimesh.creation.icosphere(4, 10.0), 400, 0, 0.0, 0.05)
+    bounds = enclosure(scan3d.touches(points, normals, place_sd=1e-3, normal_sd=0.05), 1e-3)
+    directions = random_body(0).vertex_normals
+    assert (bounds.support(directions)[1] >= 10.0 - 0.04).all()  # the facets of the sphere lie 0.03 inside
+    assert bounds.confidence < 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (1e-4, 0.0), (1e-4, 1e-2), (1e-3, 5e-2)])
 @pytest.mark.parametrize("seed", range(4))  # and 200 bodies in `make trust`

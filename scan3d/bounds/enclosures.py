@@ -518,13 +518,14 @@ def _by_planes(cloud: Cloud, margin: float | None, confidence: float) -> Enclosu
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
     places, turns = Places(cloud.points, errors), np.full(len(cloud), cloud.normal_error)
     allow = allowed(cloud, confidence)
-    if margin is None and allow.kappa is not None:
+    if allow.kappa is not None:  # a margin is that of the places alone
         assert cloud.covariance is not None
         assert cloud.normal_sd is not None
-        places = places._replace(spread=allow.kappa**2 * cloud.covariance)
         turns += allow.kappa * cloud.normal_sd
+        if margin is None:
+            places = places._replace(spread=allow.kappa**2 * cloud.covariance)
     planes = with_table(planes_of_touches(places.points, cloud.normals, places.largest(), turns), cloud.table)
-    return _best_within(cloud, _inner_bodies(cloud, places), planes, allow.confidence if margin is None else 1.0)
+    return _best_within(cloud, _inner_bodies(cloud, places), planes, allow.confidence)
 
 
 _Within = tuple[Any, tuple[tuple[Any, float], ...], float]

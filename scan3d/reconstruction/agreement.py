@@ -124,16 +124,15 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     missing = cloud.unmeasured
     recording, cloud = as_measured(recording, cloud)
-    if cloud.probed is not None:
+    alone, diagnosis = _held(missing) + below_table(cloud), None
+    if recording.in_probings.any():  # though none of them may have touched
+        if cloud.probed is not None and cloud.probed.all():
+            return Checked(alone, None)
         number = np.flatnonzero(~recording.in_probings)
-        if cloud.probed.all():
-            return Checked(_held(missing) + below_table(cloud), None)
-        recording, swept = of_rows(recording, number), cloud.of_sweeps or cloud.swept()
-        cloud = with_rows(swept, number)
+        recording, cloud = of_rows(recording, number), with_rows(cloud.of_sweeps or cloud.swept(), number)
     if (left := cloud.left_out) is not None:
         recording, kept = rest(recording, left)
         cloud = with_rows(cloud, kept)
-    alone, diagnosis = _held(missing) + below_table(cloud), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
@@ -852,15 +851,18 @@ def _beyond_neighbours(compared: Compared, cloud: Cloud, value: Index, short: Ma
 def _contradicted(pairs: Mask) -> tuple[Index, Index]:
     """Numbers of the rows and columns with most of the pairs (k, m), without which there are none."""
     left, rows, columns = pairs.copy(), [], []
-    while left.any():
-        of_row, of_column = left.sum(axis=1), left.sum(axis=0)
+    of_row, of_column = left.sum(axis=1), left.sum(axis=0)
+    while of_row.any():
         row, column = int(of_row.argmax()), int(of_column.argmax())
-        if of_row[row] >= of_column[column]:
+        in_row, in_column = of_row[row], of_column[column]
+        if in_row >= in_column:
             rows.append(row)
-            left[row] = False
-        if of_column[column] >= of_row[row]:
+            of_column -= left[row]
+            left[row], of_row[row] = False, 0
+        if in_column >= in_row:
             columns.append(column)
-            left[:, column] = False
+            of_row -= left[:, column]
+            left[:, column], of_column[column] = False, 0
     return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
 
