@@ -23,13 +23,11 @@ import numpy as np
 from planar import segments
 from planar.arrays import Array, Index, Mask, rows_of
 from planar.contours import Path
-from planar.rods import Overhang, Rod, excess, grid, overhang, started, step
+from planar.rods import COARSE, Overhang, Rod, excess, grid, overhang, started, step
 from planar.segments import Equilibria, Segments, State, cut_rows, fractions, rates
 
 # Rods that are sought at once, which are marched with three more each: their stages stay in the processor's cache.
 _BLOCK = 1024
-# Steps along the rod to start with.
-_COARSE = 4
 # Error of a state that more steps along the rod may leave, in rod lengths and radians.
 _AGREED = 1e-10
 # Residual, in rod lengths and radians, at which an equilibrium is found.
@@ -78,7 +76,7 @@ class AnyRod(Equilibria):
         state = self._newton(path, piece, zeta, w).state
         # contours at which none is known, as where a rod curves far away: led on from rods that curve, weigh and give less,
         # with less friction
-        count = np.bincount(owner[np.isfinite(state.x0)], minlength=len(path.offsets))
+        count = np.bincount(owner[np.isfinite(state.x0)], minlength=int(owner.max(initial=-1)) + 1)
         rows = np.flatnonzero(count[owner] == 0)
         for share in (0.25, 0.5, 0.75, 1.0) if len(rows) else ():
             less = replace(
@@ -215,7 +213,7 @@ class AnyRod(Equilibria):
         """What was found by few steps along the rod, with as many as it takes."""
         w, state, slopes, _ = found
         target = np.full(len(piece), np.nan) if target is None else target
-        going, steps, finer = np.flatnonzero(np.isfinite(state.x0)), _COARSE, 2 * _COARSE
+        going, steps, finer = np.flatnonzero(np.isfinite(state.x0)), COARSE, 2 * COARSE
         while len(going) and finer < 256:
             columns = path, piece[going], zeta[going], w[:, going], target[going]
             found = self._newton(*columns, held=held, steps=finer, slopes=slopes[going])
@@ -237,7 +235,7 @@ class AnyRod(Equilibria):
         target: Array | None = None,
         *,
         held: int = _PLACE,
-        steps: int = _COARSE,
+        steps: int = COARSE,
         slopes: Array | None = None,
     ) -> _Found:
         """Equilibria near w (3, n), at base positions `target` or, where they are NaN or None, with one row of w held.

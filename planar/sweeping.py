@@ -35,7 +35,7 @@ from planar.arrays import (
 from planar.contours import Contour, Outlines, Path, Polygon, check_contour, check_height, mirrored, polygon_paths
 from planar.plots import Explained, Shown, counted, to_frame, words
 from planar.rod_sweeps import AnyRod
-from planar.rods import Rod, as_rod, shapes
+from planar.rods import Rod, as_rod, free_reactions, shapes
 from planar.segments import UNIFORM, Equilibria, Segments, Tables, cut_intervals
 from planar.several import Rods, reactions
 from planar.singles import INSIDE
@@ -269,20 +269,20 @@ def sweep_all(
 
 
 def _outside(sweeps: list[Sweep], contours: Sequence[Contour], rod: Rod) -> list[Sweep]:
-    """The sweeps without the samples in which a rod that is curved or hangs would lie in the contour beside its contact, or the
-    free one that is curved without any: it touches in a state that is left out."""
+    """The sweeps without the samples in which a rod that is curved or hangs would lie in the contour, beside its contact or
+    without any: it touches in a state that is left out."""
     outlines = Outlines([contour.loops() for contour in contours])
     for i, swept in enumerate(sweeps):
-        samples = np.flatnonzero((swept.phase != Phase.NONE) | (rod.weight == 0))
-        x0, f0x, f0y, m0z = (column[samples] for column in swept.reactions)
-        f0x, f0y, m0z = (np.where(swept.phase[samples] == Phase.NONE, 0.0, column) for column in (f0x, f0y, m0z))
-        like = rod.rows(np.full(len(samples), i))
+        free = swept.phase == Phase.NONE
+        columns = zip(free_reactions(rod.rows(np.array(i))), swept.reactions[1:], strict=True)
+        f0x, f0y, m0z = (np.where(free, in_air, column) for in_air, column in columns)
+        like = rod.rows(np.full(len(swept), i))
         with np.errstate(all="ignore"):
-            lines = shapes(like, -np.stack([f0x, f0y]) - like.pull, -m0z, np.fmin(swept.s1[samples], 1.0), _ALONG)
-        places = np.concatenate(lines, axis=1) + np.stack([x0, np.zeros(len(x0))])[:, None]
+            lines = shapes(like, -np.stack([f0x, f0y]) - like.pull, -m0z, np.fmin(swept.s1, 1.0), _ALONG)
+        places = np.concatenate(lines, axis=1) + np.stack([swept.x0, np.zeros(len(swept))])[:, None]
         body = np.full(places[0].size, i)
         gap = outlines.nearest(body, places.reshape(2, -1).T, 0.0).gap.reshape(places[0].shape)
-        through = samples[(gap < -INSIDE).any(axis=0)]
+        through = np.flatnonzero((gap < -INSIDE).any(axis=0))
         _clear(swept, through)
         states, records = swept.status, swept.contacts
         states[through] = SweepStatus.UNRESOLVED

@@ -33,7 +33,8 @@ OF_PULLED = """
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 HEXAGON = planar.Polygon([(0.5 * np.cos(a), 1 + 0.5 * np.sin(a)) for a in np.arange(6) * np.pi / 3 + 0.2])
 CONTOURS = [CIRCLE, planar.Ellipse((0.5, 0.3), (0.0, 0.8), 0.3), HEXAGON]
-STEPPED = Rod(stiffness=[[0, 1], [0.3, 0.9], [0.7, 0.2], [1, 0.1]])
+# with a piece that is short and steep
+STEPPED = Rod(stiffness=[[0, 1], [0.3, 0.9], [0.36, 0.05], [1, 0.03]])
 EVERYTHING = Rod(tip_diameter=0.6, curvature=-0.3, weight=0.05, gravity=(0.3, -1), compliance=0.02)
 RODS = [Rod(tip_diameter=0.4), STEPPED, Rod(curvature=-0.3), Rod(weight=0.1, gravity=(0, -1)), EVERYTHING]
 
@@ -272,11 +273,12 @@ def test_rows_may_have_a_gravity_each():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("curvature", [-1.0, 0.3, 1.0])
+@pytest.mark.parametrize("lean", [-1.0, 0.3, 1.0])
 @pytest.mark.parametrize("direction", [-1, 1])
-def test_no_rod_lies_in_the_contour(curvature, direction):
-    """A rod that curves towards a side touches it at a second place, or before any state that is known; such samples, which
-    counted as free, are unresolved."""
+@pytest.mark.parametrize("by_weight", [False, True])
+def test_no_rod_lies_in_the_contour(lean, direction, by_weight):
+    """A rod that curves or hangs towards a side touches it at a second place, or before any state that is known; such samples,
+    which counted as free, are unresolved."""
     square = [(-0.3, 0.5), (0.3, 0.5), (0.3, 1.1), (-0.3, 1.1)]
 
     def in_square(x, y):
@@ -285,9 +287,12 @@ def test_no_rod_lies_in_the_contour(curvature, direction):
     def in_ellipse(x, y):
         return 0.1 * (1 - np.hypot(x / 0.1, (y - 0.9) / 0.5))
 
-    rod, unresolved = planar.Rod(curvature=curvature, tip_diameter=0.8), 0
-    turn = curvature * np.linspace(0, 1, 200)
-    free = np.stack([(np.cos(turn) - 1) / curvature, np.sin(turn) / curvature])
+    rod, unresolved = planar.Rod(curvature=lean, tip_diameter=0.8), 0
+    turn = lean * np.linspace(0, 1, 200)
+    free = np.stack([(np.cos(turn) - 1) / lean, np.sin(turn) / lean])
+    if by_weight:
+        rod = planar.Rod(weight=2 * abs(lean), gravity=(-np.sign(lean), 0.0))
+        free = integrated(rod, np.zeros(2), [np.pi / 2, -planar.free_reactions(rod)[2], 0, 0], (0.0, 1.0))[2:, None]
     for contour, depth in ((planar.Polygon(square), in_square), (planar.Ellipse((0.1, 0.5), (0, 0.9)), in_ellipse)):
         base = -direction * np.linspace(1.2, -0.5, 80)
         swept = planar.sweep(contour, 0.2, base=base, rod=rod, direction=direction)
@@ -300,7 +305,19 @@ def test_no_rod_lies_in_the_contour(curvature, direction):
         assert (swept.status[swept.phase == planar.Phase.NONE] != planar.SweepStatus.ONE_CONTACT).all()
         unresolved += int((swept.status == planar.SweepStatus.UNRESOLVED).sum())
         assert len(swept.contacts) == len(swept)
-    assert (unresolved > 0) == (curvature * direction < 0)
+    assert (unresolved > 0) == (lean * direction < 0)
+
+
+@pytest.mark.slow
+def test_sweeps_that_go_on_past_their_end_with_a_friction_for_each_sample():
+    friction = np.random.default_rng(0).uniform(0.0, 0.6, 40)
+    for rod in RODS:
+        swept = planar.sweep(CONTOURS[1], friction, base=np.linspace(0.7, -1.7, 40), rod=rod)
+        contacts = planar.reconstruct(*swept.reactions, rod=rod)
+        found = contacts.status == Status.OK
+        assert found.sum() > 10
+        assert swept.phase[-5:].max() == Phase.NONE
+        np.testing.assert_allclose(contacts.point[found], swept.point[found], atol=1e-7)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from planar.rods import PLACES, STEPS, TRIED, Profile, along, crossings, drawn, enough_steps, grid, tableau
+from planar.rods import COARSE, PLACES, STEPS, TRIED, Profile, along, crossings, drawn, enough_steps, grid, tableau
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
@@ -127,9 +127,10 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
                 state = _step(rod, state, at, end - at)
             return Ends(state[_R], _rotated(state[_Q], state[_M]), steps)
 
-    # rods that are touched at their ends may be bent so little that one step is enough
     if steps is None:
-        steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(2), steps=1)
+        # rods that are touched at their ends may be bent so little that one step is enough, if they are of one piece
+        least = 1 if len(rod.profile.knots) == 2 else COARSE
+        steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(2), steps=least)
     return marched(slice(None), steps)
 
 
