@@ -243,6 +243,7 @@ class _Sweeps:
         """Rods at folds whose tip comes round a convex corner, on to the next edge: where that is so, and their points."""
         rods, outlines = self.rods.rows(rows), self.outlines
         rods.x0 = np.maximum(rods.x0 - _ACROSS, aim)
+        rods.zeta = np.where(rods.sticks, rods.zeta, np.copysign(zeta[:, None], rods.zeta))
         last, every = np.maximum(rods.count - 1, 0), np.arange(len(rows))
         piece = rods.piece[every, last]
         # against the outline's direction, as the sweep goes
@@ -321,7 +322,7 @@ class _Sweeps:
             if len(rest) and before is not None:
                 slipping = self._slip(rods.rows(rest), before.rows(rest), zeta[rest], flipped[rest])
                 for j, slot in zip(*np.nonzero(slipping), strict=True):
-                    self._turn_slip(rods, int(rest[j]), int(slot), flipped)
+                    self._turn_slip(rods, int(rest[j]), int(slot), flipped, float(zeta[rest[j]]), before)
                 wrong = slipping.any(axis=1)
                 kept, rest = np.concatenate([kept, rest[wrong]]), rest[~wrong]
             good[rest] = True
@@ -448,11 +449,20 @@ class _Sweeps:
         torn = rods.sticks & (np.abs(rods.zeta) > zeta[:, None] + _ROUNDING)
         return used & (zeta[:, None] > 0) & (before.count[:, None] > 0) & (wrong | torn)
 
-    def _turn_slip(self, rods: Rods, k: int, slot: int, flipped: Mask) -> None:
+    def _turn_slip(self, rods: Rods, k: int, slot: int, flipped: Mask, zeta: float, before: Rods) -> None:
         if rods.sticks[k, slot]:
-            rods.sticks[k, slot] = False
+            rods.sticks[k, slot], rods.zeta[k, slot] = False, np.copysign(zeta, rods.zeta[k, slot])
         elif flipped[k, slot]:
             rods.sticks[k, slot], rods.zeta[k, slot] = True, 0.0
+            # where it was: the contact before that is as near to this one as to no other, if there is one
+            now, then = (
+                self.outlines.at(one.piece[k, : one.count[k]], one.u[k, : one.count[k]]).point for one in (rods, before)
+            )
+            apart = np.linalg.norm(now[:, None] - then, axis=2)
+            held = int(apart[slot].argmin())
+            if apart[:, held].argmin() == slot:
+                for column, old in ((rods.piece, before.piece), (rods.u, before.u), (rods.s, before.s)):
+                    column[k, slot] = old[k, held]
         else:
             rods.zeta[k, slot], flipped[k, slot] = -rods.zeta[k, slot], True
 

@@ -152,3 +152,36 @@ def test_samples_reach_from_touch_down_to_the_end():
     swept = planar.sweep(planar.Polygon(letter_l_outline(1.2)), 0.3, samples=5)
     assert (swept.status > SweepStatus.FREE).all()
     assert (swept.phase != planar.Phase.NONE).all()
+
+
+def outside_cone(swept):
+    """How far forces of contacts lie outside the cone of friction, in radians."""
+    angle = np.remainder(swept.contacts.force_angle - swept.contacts.slope + np.pi, 2 * np.pi) - np.pi
+    return np.nanmax(np.abs(angle) - np.arctan(swept.friction)[:, None])
+
+
+@pytest.mark.slow
+def test_contacts_that_stick_stay_where_they_were_and_in_the_cone_of_friction():
+    """Also where the next sample has another friction: the state is that of a sweep with its coefficient."""
+    turn, rng = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.random.default_rng(1)
+    for _ in range(8):
+        waves = (size * np.cos(rng.integers(2, 6) * turn + rng.uniform(0, 6)) for size in (0.35, 0.15))
+        radius = 0.5 * (1 + sum(waves))
+        height, _, friction = rng.uniform(0.3, 0.8), rng.random(), rng.uniform(0, 0.5, 150)
+        rng.choice([-1, 1])
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    contour = planar.Curve.from_points(x, y - y.min() + height)
+    swept = planar.sweep(contour, friction, samples=150)
+    assert outside_cone(swept) < 1e-8
+    for i in (140, 141):
+        alone = planar.sweep(contour, friction[i], base=swept.x0[: i + 1])
+        assert swept.m0z[i] == pytest.approx(alone.m0z[i], abs=1e-8)
+    rng = np.random.default_rng(90)
+    corners = rng.integers(5, 12)
+    angle, radius = np.sort(rng.uniform(0, 2 * np.pi, corners)), rng.uniform(0.2, 0.8, corners)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    swept = planar.sweep(
+        planar.Polygon(np.column_stack([x, y - y.min() + rng.uniform(0.2, 0.6)])), rng.uniform(0.05, 0.6), samples=100
+    )
+    assert (swept.status == SweepStatus.SEVERAL_CONTACTS).any()
+    assert outside_cone(swept) < 1e-8
