@@ -97,3 +97,26 @@ def test_the_command_scans_in_space(scanned, tmp_path, no_pictures):
     assert main([*again, "--truth", str(CUBE)]) == 0
     found = json.loads((tmp_path / "again" / "report.json").read_text())
     assert found["certificate"] == report["certificate"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cube.stl", "gem.glb"])
+def test_no_rod_without_thickness_lies_in_the_body_without_a_force(name):
+    """Where such a rod meets vertices its equations are singular: it left the body there, or was not seen to touch."""
+    mesh = scan3d.load_mesh(CUBE.with_name(name))
+    length = float(np.ptp(mesh.vertices, axis=0).max())
+    thin, thick = (
+        scan3d.simulate(
+            mesh,
+            scan3d.Plan(
+                model="spatial", slices=5, samples=24, friction=0.2, rod=scan3d.Rod(1.5e-3 * length, 1e-4, diameter)
+            ),
+        )
+        for diameter in (0.0, 1e-6 * length)
+    )
+    assert len(np.unique(thin.sweep)) > 0.9 * len(np.unique(thick.sweep))
+    free = np.linalg.norm(thin.pressing(six_axis=True), axis=1) == 0
+    along = np.linspace(0.0, 1.5 * length, 200)
+    places = 1e3 * thin.position_m[free, None] + along[:, None] * thin.axes()[free, None, 1]
+    outside = (mesh.face_normals @ places[..., None])[..., 0] - (mesh.face_normals * mesh.triangles_center).sum(axis=1)
+    assert outside.max(axis=2).min() > -1e-3 * length

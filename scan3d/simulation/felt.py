@@ -100,12 +100,13 @@ def drawn_friction(bounds: tuple[float, float], samples: int, key: Sequence[int]
 def rounded_body(mesh: Any, length: float, radius: float) -> tuple[RoundedPolyhedron, Array]:
     """The body that the centre line of a round rod touches, in lengths of the rod about the middle (3,) that is returned.
 
-    So rounding does not depend on where the body lies.  Raises InputError for a body that the spatial model can't have.
+    So rounding does not depend on where the body lies.  A rod without thickness counts as one of a billionth of its length,
+    whose contacts with vertices have regular equations.  Raises InputError for a body that the spatial model can't have.
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
     try:
-        return RoundedPolyhedron((vertices - middle) / length, mesh.faces, radius / length), middle
+        return RoundedPolyhedron((vertices - middle) / length, mesh.faces, max(radius / length, 1e-9)), middle
     except ValueError as error:
         raise InputError(f"this body can't be swept in space: {error}") from None
 
