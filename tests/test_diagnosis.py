@@ -17,6 +17,7 @@ import scan3d
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import cause_of_no_contact, checked, diagnose
+from scan3d.recording import of_rows
 from scan3d.report import key_figures, report
 from tests import rigs
 from tests.robustness import faults
@@ -221,10 +222,37 @@ def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(recording, angles
     assert position == pytest.approx(place, abs=4)
 
 
+@pytest.mark.parametrize("into", [2, 10])
+def test_a_zero_that_jumps_is_named_by_its_sweep(into):
+    """In the first rows of a sweep, which tell its zero, as well as while the rod touches."""
+    recording = in_plane()
+    begins = np.flatnonzero(np.diff(recording.sweep, prepend=-1))
+    rows = np.insert(np.arange(len(recording)), np.repeat(begins, 6), np.repeat(begins, 6))
+    part = of_rows(recording, rows)
+    in_air = np.insert(np.zeros(len(recording), dtype=bool), np.repeat(begins, 6), values=True)
+    behind = np.where(in_air, 0.01 * recording.rod.length_m, 0.0)[:, None]
+    force, moment = np.where(in_air[:, None], 0.0, part.force_N), np.where(in_air, 0.0, part.moment_Nm)
+    middle = len(begins) // 2
+    late = np.arange(len(part)) >= begins[middle] + 6 * middle + into
+    moved = replace(
+        part,
+        position_m=part.position_m + behind * part.axes()[:, 0],
+        force_N=force + 0.03 * part.rod.force_unit_N * late[:, None],
+        moment_Nm=moment + 0.02 * part.rod.moment_unit_Nm * late,
+    )
+    found = diagnosed(moved)
+    assert found.fault == "zero-jumps", found
+    sweep = recording.sweep[begins[middle - 1]] if into < 3 else recording.sweep[begins[middle]]
+    assert f"right after sweep {sweep}, " in found.message
+    assert found.explains > 0.99
+
+
 def test_what_no_single_fault_explains_is_said_to_be_so():
     found = diagnosed(FAULTS["interleaved"](in_plane()))
     assert (found.fault, found.value) == ("unknown", None)
-    assert found.message.startswith("no single fault explains the contradiction: check signs, axes and units")
+    assert found.message.startswith(
+        "none of the faults that are tried explains the contradiction alone: check signs, axes and units"
+    )
 
 
 RODS = {

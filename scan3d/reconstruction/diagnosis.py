@@ -88,7 +88,7 @@ class Diagnosis(NamedTuple):
     """The likeliest fault of a recording that contradicts the model."""
 
     fault: str
-    """Its code, ``unknown`` where no single fault explains the contradiction."""
+    """Its code, ``unknown`` where none of the faults that are tried explains the contradiction alone."""
     value: float | None
     """Its estimated size in `unit`; None where it has none."""
     unit: str
@@ -292,15 +292,15 @@ def _jumping(recording: Recording, wrench: Array, first: Index, spatial: bool) -
         return []
     rows = []
     for k in after:
-        inside = wrench[begins[k] : begins[k + 1] + 2]
+        inside = wrench[begins[k] : begins[k + 1] + 3]  # as many rows of the next sweep turn its median
         step = np.abs(np.diff(inside, axis=0) - (level[k + 1] - level[k])).max(axis=1)
         rows.append(int(begins[k] + 1 + step.argmin()))
     edges = [0, *(after + 1).tolist(), len(begins)]
     levels = np.array([np.median(start[a:b], axis=0) for a, b in pairwise(edges)])
     zero = levels[np.searchsorted(rows, np.arange(len(wrench)), side="right")]
-    steps = np.diff(levels, axis=0)
+    steps, sweeps = np.diff(levels, axis=0), [str(recording.sweep[begins[k]]) for k in after]
     text = (
-        f"the zero of force and moment jumps in row {', '.join(str(row + 1) for row in rows)}, by up to {{}}: the sensor was "
+        f"the zero of force and moment jumps in or right after sweep {', '.join(sweeps)}, by up to {{}}: the sensor was "
         "tared again; import the table, which takes off the zero of each part, or cut the log there"
     )
     largest = steps[np.abs(steps).max(axis=1).argmax()]
@@ -507,8 +507,8 @@ _UNKNOWN = Diagnosis(
     "unknown",
     None,
     "",
-    "no single fault explains the contradiction: check signs, axes and units, the tare of force and moment, that the rod is "
-    "straight, uniform and light and its clamp rigid, and that the body is convex",
+    "none of the faults that are tried explains the contradiction alone: check signs, axes and units, the tare of force and "
+    "moment, that the rod is straight, uniform and light and its clamp rigid, and that the body is convex",
 )
 
 
