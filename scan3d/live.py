@@ -310,20 +310,22 @@ class Live:
 
     def _wait(self, t: float, shown: Array) -> None:
         """Collect rows in the air, until zero, noise and rate are known."""
-        self._waiting.append((t, shown))
+        if len(self._waiting) < self._air_rows:  # rows after an error may be those of a touch
+            self._waiting.append((t, shown))
         if len(self._waiting) < self._air_rows:
             return
         times, rows = np.array([row[0] for row in self._waiting]), np.array([row[1] for row in self._waiting])
-        self._zero = rows.mean(axis=0)
-        tared = rows - self._zero
+        zero = rows.mean(axis=0)
+        tared = rows - zero
         if self._lowpass_hz is not None:
             tared = self._begun(times, tared)
         deviation = tared.std(axis=0, ddof=1) if len(tared) > 1 else np.zeros(6)
-        deviation = np.maximum(deviation, ROUNDING * np.abs(self._zero))  # of rows that are all the same
+        deviation = np.maximum(deviation, ROUNDING * np.abs(zero))  # of rows that are all the same
         force, moment = float(deviation[:3].max()), float(deviation[3:].max())
         if self._calibration is not None:
             moment = self._calibration.moment_noise(force, moment, imported=False)
         self._take(self._noise or (force, moment))
+        self._zero = zero
 
     def _take(self, noise: tuple[float, float]) -> None:
         """Rows have these standard deviations from now on."""
