@@ -332,7 +332,9 @@ class Live:
         force, moment = noise
         independent = self._like.noise_independent and self._lowpass_hz is None
         stated = Noise(force, moment, self._like.noise_pose_m, place_m=0.0, independent=independent)
-        self._like = of_checked(self._like, noise_force_N=stated.force_N, noise_moment_Nm=stated.moment_Nm)
+        self._like = of_checked(
+            self._like, noise_force_N=force, noise_moment_Nm=moment, noise_independent=stated.independent
+        )
         self._like = as_stated(self._like, stated)
 
     def _begun(self, times: Array, tared: Array) -> Array:

@@ -172,6 +172,7 @@ def test_a_low_pass_leaves_less_noise():
         plain.push(*row)
         smooth.push(*row)
     assert smooth.recording.noise.force_N < 0.6 * plain.recording.noise.force_N
+    assert (plain.recording.noise_independent, smooth.recording.noise_independent) == (True, False)
 
 
 @pytest.mark.parametrize("model", ["planar", "spatial"])
