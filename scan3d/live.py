@@ -380,8 +380,13 @@ class Live:
         if not self._rows:
             return of_checked(self._like, **{name: getattr(self._like, name)[:0] for name in names})
         columns: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in self._rows]) for name in names}
-        last = self._rows[-1]
-        return as_stated(of_checked(last, **columns), last.noise)
+        # after `tare` rows have another noise, and the larger one holds for all
+        columns |= {
+            name: max(getattr(row, name) for row in self._rows) for name in ("noise_force_N", "noise_moment_Nm")
+        }
+        found = of_checked(self._rows[-1], **columns)
+        noise = found.noise._replace(force_N=found.noise_force_N, moment_Nm=found.noise_moment_Nm)
+        return as_stated(found, noise)
 
     @property
     def unit(self) -> str:

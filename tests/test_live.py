@@ -175,6 +175,18 @@ def test_a_low_pass_leaves_less_noise():
     assert (plain.recording.noise_independent, smooth.recording.noise_independent) == (True, False)
 
 
+def test_a_zero_that_is_found_again_makes_no_earlier_row_more_exact():
+    live, rng, noises = scan3d.Live(scanned("planar"), air_rows=30), np.random.default_rng(0), []
+    for sweep, sd in enumerate((1e-4, 1e-6, 1e-5)):
+        live.tare()
+        for _ in range(31):
+            live.push(0.0, [0, 0, 0], [1, 0, 0, 0], sd * rng.normal(size=3), sweep)
+        noises.append(live.recording.noise)
+    assert noises[0].force_N > 5e-5
+    assert noises == noises[:1] * 3
+    assert replace(live.recording).noise[:2] == noises[0][:2]
+
+
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_before_the_first_contact_there_is_nothing_to_see(model):
     live = scan3d.Live(scanned(model), model=model)
