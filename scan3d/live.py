@@ -254,16 +254,19 @@ class Live:
         moved = abs(float((row.position_m[0] - self._begin.position_m[0]) @ along))
         length, error = row.rod.length_m, FORCE_SIGMAS * row.noise_pose_m
         elsewhere = turned > _APART + error / length or moved > _APART * length + error
+        # a rod leaves what it has probed as it came, and its force may be lost among the noise in single rows
+        probed = self._touched and self._probes(row)
         step = row.position_m[0] - self._from
         if (way := float(np.linalg.norm(step))) > error / OFF_LINE:
             # a sweep goes along -x of the clamp, and a probing along y
-            going = (row.axes()[0, :2] @ step) * (-1, 1) >= np.sqrt(1 - OFF_LINE**2) * way
-            elsewhere = elsewhere or not (going & self._going).any()
+            ahead, straight = (row.axes()[0, :2] @ step) * (-1, 1), np.sqrt(1 - OFF_LINE**2) * way
+            going = ahead >= straight
+            elsewhere = elsewhere or not ((going & self._going).any() or (probed and -ahead[1] >= straight))
             self._from, self._going = row.position_m[0], going
         begins, self._pressed = pressed and not self._pressed, pressed
-        if (elsewhere and not (pressed and self._touched)) or (begins and self._touched):
+        if (elsewhere and not (pressed and self._touched)) or (begins and self._touched and not probed):
             self._begin, self._touched, self._waiting_rows = row, False, []
-        if not (pressed or self._touched):
+        if not (pressed or (self._touched and not probed)):
             self._waiting_rows.append(row)
             self._thinned(self._waiting_rows, len(self._waiting_rows))
             return []
@@ -273,6 +276,11 @@ class Live:
         for one in rows:
             one.__dict__["sweep"] = np.array([self._sweep])
         return rows
+
+    def _probes(self, row: Recording) -> bool:
+        """Whether the sweep is a probing as far as this row, as `Recording.in_probings` has it."""
+        moved = self._begin.axes()[0] @ (row.position_m[0] - self._begin.position_m[0])
+        return bool(moved[1] > np.hypot(moved[0], moved[2]))
 
     def _thinned(self, rows: list[Recording], count: int) -> bool:
         """Whether a row was taken out of the last ones in the air, so many, because the clamp stands still since the row before

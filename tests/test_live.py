@@ -229,6 +229,22 @@ def test_sweeps_are_found_where_the_rod_goes_through_the_air_between_them(noise)
     assert len(cloud.slice_height) == len(np.unique(whole.slice))
 
 
+@pytest.mark.parametrize("lost", [12, 20, 21, 27], ids=["ahead", "deepest", "at the turn", "on the way back"])
+def test_a_probing_whose_force_is_lost_in_one_row_remains_one(lost):
+    """There are as many contacts as probings, where the ends were when a force was felt first."""
+    sd, rng = np.repeat([1e-7, 1e-8], 3), np.random.default_rng(0)
+    live = scan3d.Live(scanned("spatial"), noise=(sd[0], sd[-1]))
+    length, depth = live.recording.rod.length_m, np.append(np.arange(-10, 11), np.arange(9, -21, -1)) / 1000
+    for x in (0.0, 0.1, 0.2):
+        for k, deep in enumerate(depth):
+            wrench = sd * rng.normal(size=6)
+            wrench[1] += 0.1 * max(deep, 0.0) * (k != lost)
+            live.push(0.0, [x * length, deep * length, 0.0], [1, 0, 0, 0], wrench)
+    assert live.recording.in_probings.all()
+    ends = [[x * length, 1.001 * length, 0.0] for x in (0.0, 0.1, 0.2)]
+    np.testing.assert_allclose(live.cloud.points / 1000, ends, rtol=0, atol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_a_rod_that_returns_in_its_own_plane_sweeps_again(model):
