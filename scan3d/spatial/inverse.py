@@ -389,12 +389,14 @@ def at_ends(
     vanishing = np.array([2]) if in_plane else np.arange(3)
 
     def marched(reactions: Array) -> tuple[Array, Array]:
-        found = march.ends(rod, reactions[:3], reactions[3:], gravity)
-        return found.point, found.moment[vanishing].T
+        down = None if gravity is None else np.tile(gravity, reactions.shape[1] // max(n, 1))
+        found = march.ends(rod, reactions[:3], reactions[3:], down)
+        return found.point, found.moment[vanishing]
 
     reactions = np.concatenate([force, moment])
-    point, left = marched(reactions)
     n, sd = reactions.shape[1], np.repeat(noise, 3)[channels]
+    point, at_end = marched(reactions)
+    left = at_end.T
     pressing = (-force - (0.0 if gravity is None else rod.profile.weight * gravity)).T
     size = np.linalg.norm(pressing, axis=1)
     along = pressing / np.where(size > 0, size, 1.0)[:, None]
@@ -407,14 +409,10 @@ def at_ends(
             )
         nothing = np.zeros((n, 3, 3))
         return AtEnds(point, nothing, np.where(chance, 1.0, 0.0), _normals(along, left, lever), nothing)
-    places, moments = np.empty((n, 3, len(channels))), np.empty((n, len(vanishing), len(channels)))
-    for k, channel in enumerate(channels):
-        step = DIFFERENCE * np.eye(6)[channel][:, None]
-        one, other = marched(reactions + step), marched(reactions - step)
-        places[..., k], moments[..., k] = (
-            (one[0] - other[0]).T / (2 * DIFFERENCE),
-            (one[1] - other[1]) / (2 * DIFFERENCE),
-        )
+    step = DIFFERENCE * np.eye(6)[:, channels]
+    moved = reactions[:, None, None] + np.stack([step, -step], axis=1)[..., None]
+    ends = (part.reshape(len(part), 2, len(channels), n) for part in marched(moved.reshape(6, -1)))
+    places, moments = ((part[:, 0] - part[:, 1]).transpose(2, 0, 1) / (2 * DIFFERENCE) for part in ends)
     spread = np.diag(sd**2)
     of_moment = moments @ spread @ moments.transpose(0, 2, 1)
     by_bead = np.zeros_like(of_moment)
