@@ -25,7 +25,7 @@ from scan3d.files.recordings import read_settings
 from scan3d.files.text import read_section
 from scan3d.laboratory.signals import ringing
 from scan3d.planning.plan import check_choice, check_whole
-from scan3d.reconstruction import NoContactError, reconstruct
+from scan3d.reconstruction import NoContactError, probings, reconstruct
 from scan3d.reconstruction.agreement import OFF_LINE
 from scan3d.reconstruction.contacts import places, places_in_plane, readings_alone, readings_in_plane
 from scan3d.reconstruction.errors import felt
@@ -51,7 +51,7 @@ class LiveContact:
 
     t_s: float
     point: Array
-    """(3,) of the rod's centre line."""
+    """(3,) of the rod's centre line, or on the bead."""
     covariance: Array
     """(3, 3) of the point by the noise of wrench and pose; zero where none is stated or found."""
     normal: Array
@@ -184,8 +184,8 @@ class Live:
             number of the sweep; by default each touch is one, with the rows in the air in its plane before and after it, and
             rows in the air between two planes are not kept, nor all while the clamp stands still in the air.
 
-        Raises InputError for other shapes, quaternions without unit length, times before that of the last row, and numbers that
-        no rig has; the row is not kept.
+        Raises InputError for other shapes, quaternions without unit length, times before that of the last row, numbers that no
+        rig has, and rods that probe but are curved, or have a bead in the planar model; the row is not kept.
         """
         if sweep is not None:
             check_whole("sweep", sweep, 0)
@@ -230,14 +230,17 @@ class Live:
             row.__dict__["sweep"] = np.array([sweep])
             # rows without a number that follow are of another sweep
             self._sweep, self._pressed = max(self._sweep, sweep), pressed
-            self._begin, self._touched, self._waiting_rows = row, False, []
+            if not self._rows or self._rows[-1].sweep[0] != sweep:
+                self._begin = row
+            self._touched, self._waiting_rows = False, []
         contact = None
         if not pressed:
             self.state = "air"
         elif rings:
             self.state = "ringing"
         else:
-            contact = _contact(t, row, self.model)
+            probed = row.rod.bead_diameter_m or self._probes(row)
+            contact = _probed(t, row, self.model, len(self.contacts) + 1) if probed else _contact(t, row, self.model)
             self.state = "unknown" if contact is None else "touching"
             self.contacts += [] if contact is None else [contact]
         self._rows += rows
@@ -278,9 +281,9 @@ class Live:
         return rows
 
     def _probes(self, row: Recording) -> bool:
-        """Whether the sweep is a probing as far as this row, as `Recording.in_probings` has it."""
+        """Whether the sweep is a probing as far as this row, as `Recording.in_probings` has it of all rows."""
         moved = self._begin.axes()[0] @ (row.position_m[0] - self._begin.position_m[0])
-        return bool(moved[1] > np.hypot(moved[0], moved[2]))
+        return bool(moved[1] > max(np.hypot(moved[0], moved[2]), FORCE_SIGMAS * row.noise_pose_m))
 
     def _thinned(self, rows: list[Recording], count: int) -> bool:
         """Whether a row was taken out of the last ones in the air, so many, because the clamp stands still since the row before
@@ -443,8 +446,19 @@ def _of_rig(rig: str | Path | Calibration | Recording) -> tuple[Calibration | No
     return None, {name: getattr(rig, name) for name in names}
 
 
+def _probed(t: float, row: Recording, model: str, among: int) -> LiveContact | None:
+    """The contact of a recording of one row of a probing, one of so many."""
+    try:
+        found = probings.contacts(row, model, among)
+    except NoContactError:
+        return None
+    nothing, force = np.full(3, np.nan), float(found.force_N[0])
+    covariance = np.zeros((3, 3)) if found.covariance is None else found.covariance[0]
+    return LiveContact(t, found.points[0], covariance, nothing, np.nan, planar.Phase.TIP, force)
+
+
 def _contact(t: float, row: Recording, model: str) -> LiveContact | None:
-    """The contact of a recording of one row."""
+    """The contact of a recording of one row of a sweep."""
     nothing = np.full(3, np.nan)
     if model == "spatial":
         known = readings_alone(row)

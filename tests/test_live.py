@@ -88,6 +88,25 @@ def test_the_contacts_are_those_of_the_whole_recording(rod, model, noise):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("bead", [0.0, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_the_contacts_of_probings_are_those_of_the_whole_recording(bead, noise):
+    plan = scan3d.Plan(model="spatial", probing="only", known=0.5, bead=bead, noise=noise)
+    recording = scan3d.simulate(scan3d.load_mesh(EGG), plan)
+    recording = of_rows(recording, recording.sweep < 200)
+    found, states = pushed(scan3d.Live(recording), recording)
+    cloud = scan3d.reconstruct(recording)
+    assert (states == "touching").sum() == len(cloud) > 50
+    of = [found[row] for row in cloud.row]
+    assert {one.phase for one in of} == {planar.Phase.TIP}
+    # rods that are integrated together take the same steps
+    np.testing.assert_allclose([one.point for one in of], cloud.points, rtol=0, atol=1e-12 * cloud.rod_length)
+    np.testing.assert_allclose([one.force_N for one in of], cloud.force_N, rtol=1e-12)
+    if noise:
+        np.testing.assert_allclose([one.covariance for one in of], cloud.covariance, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.slow
 def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording(tmp_path):
     raw = rigs.recorded(seed=1, samples=60)
     calibration = scan3d.calibrate(raw, rigs.DIAMETER)
@@ -240,6 +259,10 @@ def test_a_probing_whose_force_is_lost_in_one_row_remains_one(lost):
             wrench = sd * rng.normal(size=6)
             wrench[1] += 0.1 * max(deep, 0.0) * (k != lost)
             live.push(0.0, [x * length, deep * length, 0.0], [1, 0, 0, 0], wrench)
+            if live.state == "touching":
+                there = [x * length, (1 + deep) * length, 0.0]
+                np.testing.assert_allclose(live.contacts[-1].point / 1000, there, rtol=0, atol=1e-6)
+    assert len(live.contacts) == 3 * 18
     assert live.recording.in_probings.all()
     ends = [[x * length, 1.001 * length, 0.0] for x in (0.0, 0.1, 0.2)]
     np.testing.assert_allclose(live.cloud.points / 1000, ends, rtol=0, atol=1e-6)
@@ -346,6 +369,10 @@ def test_what_is_no_row_is_refused():
     with pytest.raises(InputError, match="noise is two numbers, of force and of moment"):
         scan3d.Live(scanned("planar"), noise=1e-3)
     assert scan3d.Live(scanned("planar")).model == "planar"
+    with pytest.raises(InputError, match="of a rod with bead_diameter_m measure six axes"):
+        scan3d.Live(replace(scanned("planar"), rod=scan3d.Rod(0.06, 2e-4, bead_diameter_m=0.001))).push(
+            0.0, [0, 0, 0], [1, 0, 0, 0], [0, 1e-2, 0]
+        )
 
 
 def test_a_zero_that_can_not_be_found_is_refused(tmp_path):

@@ -30,10 +30,11 @@ from scan3d.spatial import inverse
 from scan3d.units import UNITS_M
 
 
-def contacts(recording: Recording, model: str) -> Cloud:
+def contacts(recording: Recording, model: str, among: int | None = None) -> Cloud:
     """The contacts of a recording of probings, one of each that felt something: that of its first row with a force.
 
-    Their clouds have no slices.  Raises NoContactError if no row gives one, and InputError for rods that are not straight.
+    They are judged as some of so many, by default as all there are.  Their clouds have no slices.  Raises NoContactError if no
+    row gives one, and InputError for rods that are not straight.
     """
     six_axis, rod, scale = model == "spatial", recording.rod, UNITS_M[recording.unit]
     if any(rod.curvatures):
@@ -66,7 +67,7 @@ def contacts(recording: Recording, model: str) -> Cloud:
         bead=bead,
     )
     # of one of all contacts, in the mean of twenty recordings, noise says so wrongly
-    alone = found.chance >= RIGHT_ROWS / len(rows)
+    alone = found.chance >= RIGHT_ROWS / (among or len(rows))
     elsewhere, rows = int((~alone).sum()), rows[alone]
     if not len(rows):
         raise nothing
