@@ -295,6 +295,14 @@ def test_reactions_that_no_rod_has_give_no_contact(size):
     assert not (found.chance > 0).any()
 
 
+def test_contacts_have_errors_where_the_noise_of_the_force_alone_is_stated():
+    force = np.array([[0.0, 1e-4], [-0.01, -0.01], [0.0, 0.0]])
+    found = inverse.at_ends(force, np.zeros((3, 2)), (1e-4, 0.0), rod=SpatialRod())
+    np.testing.assert_allclose(found.point[:, 0], [0, 1, 0], atol=1e-9)
+    assert np.isfinite(found.covariance).all()
+    assert found.chance[0] > 0.99
+
+
 def test_a_rod_that_is_touched_elsewhere_than_at_its_end_gives_no_contact():
     rng = np.random.default_rng(5)
     body = trimesh.creation.icosphere(4, radius=20.0)

@@ -413,7 +413,7 @@ def at_ends(
     moved = reactions[:, None, None] + np.stack([step, -step], axis=1)[..., None]
     ends = (part.reshape(len(part), 2, len(channels), n) for part in marched(moved.reshape(6, -1)))
     places, moments = ((part[:, 0] - part[:, 1]).transpose(2, 0, 1) / (2 * DIFFERENCE) for part in ends)
-    spread = np.diag(sd**2)
+    spread = np.diag(np.maximum(sd, ROUNDING) ** 2)  # one of the two noises may not be stated
     of_moment = moments @ spread @ moments.transpose(0, 2, 1)
     by_bead = np.zeros_like(of_moment)
     if bead:

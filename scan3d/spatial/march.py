@@ -131,7 +131,9 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
         # rods that are touched at their ends may be bent so little that one step is enough, if they are of one piece
         least = 1 if len(rod.profile.knots) == 2 else COARSE
         steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(2), steps=least)
-    return marched(slice(None), steps)
+    parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, max(force.shape[1], 1), _BLOCK)]
+    point, moment = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
+    return Ends(point, moment, steps)
 
 
 def shapes(
