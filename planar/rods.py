@@ -255,16 +255,21 @@ def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
 
 
 def free_reactions(rod: Rod) -> tuple[float, float, float]:
-    """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away."""
+    """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away.
+
+    Raises ValueError where the clamp gives so much that none are found.
+    """
     moment, nothing, rod = 0.0, np.zeros((2, 1)), as_rod(rod).steady()
-    for _ in range(100):  # a clamp that gives: a contraction for clamps that hold
+    for share in np.repeat([1.0, 0.5], 100):  # a contraction for clamps that hold, by halves for those that give much
         state = started(rod, np.array([np.pi / 2 + rod.compliance * moment]), np.zeros(1), nothing, nothing)
-        before, moment = moment, -float(excess(overhang(rod), 0.0, state)[0])
-        if abs(moment - before) <= 1e-15:
-            break
-    return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
+        change = -float(excess(overhang(rod), 0.0, state)[0]) - moment
+        moment += float(share) * change
+        if abs(change) <= 1e-14:
+            return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
+    raise ValueError(GIVES)
 
 
+GIVES = "the clamp gives so much under the rod's weight that no rest is found: state a smaller compliance or weight"
 Found = TypeVar("Found", bound=tuple[Any, ...])
 
 

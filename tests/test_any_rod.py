@@ -9,6 +9,7 @@ from rods_in_space import table
 
 import planar
 from planar import Phase, Rod, Status
+from scan3d.spatial.march import SpatialRod, free_reactions
 
 # f0x, f0y, m0z; then s1, x1 - x0, y1, φ1 and β of these rods, by DOP853 at a relative tolerance of 1e-12.
 CASES = [Rod(), Rod(tip_diameter=0.6), Rod(curvature=-0.3), Rod(compliance=0.05), Rod(tip_diameter=0.6, curvature=-0.3)]
@@ -228,12 +229,21 @@ def test_stated_errors_are_those_of_noisy_reactions():
     np.testing.assert_allclose(np.sqrt((apart**2).sum(axis=2).mean(axis=1)), stated, rtol=0.15)
 
 
-def test_reactions_of_the_free_rod():
-    rod = Rod(tip_diameter=0.5, curvature=0.2, weight=0.5, gravity=(1, -1), compliance=0.1)
+@pytest.mark.parametrize(
+    "rod",
+    [
+        Rod(tip_diameter=0.5, curvature=0.2, weight=0.5, gravity=(1, -1), compliance=0.1),
+        Rod(weight=2.0, gravity=(0.5, 0.9), compliance=1.0),  # a clamp that gives much
+    ],
+)
+def test_reactions_of_the_free_rod(rod):
     f0x, f0y, m0z = planar.free_reactions(rod)
-    np.testing.assert_allclose([f0x, f0y], -0.5 * np.array([1, -1]) / np.sqrt(2))
+    np.testing.assert_allclose([f0x, f0y], -rod.weight * rod.down)
     tip = integrated(rod, np.zeros(2), [np.pi / 2 - rod.compliance * m0z, -m0z, 0.0, 0.0], (0.0, 1.0))
     assert abs(tip[1]) < 1e-11
+    space = SpatialRod(rod.profile, (rod.curvature, 0.0, 0.0), compliance=rod.compliance)
+    in_space = free_reactions(space, np.append(rod.down, 0.0)[:, None])
+    np.testing.assert_allclose(np.concatenate(in_space)[:, 0], [f0x, f0y, 0, 0, 0, m0z], atol=1e-10)
     assert planar.free_reactions(Rod(tip_diameter=0.5)) == (0, 0, 0)
 
 

@@ -198,6 +198,11 @@ def test_stated_errors_are_those_of_noisy_reactions(rod):
     np.testing.assert_allclose(np.sqrt((apart**2).sum(axis=1).mean()), np.sqrt(np.trace(stated.point[0])), rtol=0.15)
     np.testing.assert_allclose(found.s1.std(), stated.s1[0], rtol=0.15)
     np.testing.assert_allclose(found.friction_angle_bound.std(), stated.beta[0], rtol=0.15)
+    # the direction of the contact's force, beside the weight
+    pull = -f0 - rod.profile.weight * DOWN
+    mean = -force - rod.profile.weight * DOWN
+    turned = pull / np.linalg.norm(pull, axis=1)[:, None] - mean / np.linalg.norm(mean)
+    np.testing.assert_allclose(np.sqrt((turned**2).sum(axis=1).mean()), stated.force[0], rtol=0.15)
 
 
 def test_errors_of_the_straight_uniform_rod_are_those_of_the_closed_form():

@@ -328,9 +328,11 @@ def _by_differences(
         spread = slope @ covariance @ slope.transpose(0, 2, 1)
         point, variances = spread[:, :3, :3], np.einsum("nii->in", spread)
         tangent, s1, beta = (np.sqrt(part) for part in (variances[3:6].sum(axis=0), variances[6], variances[7]))
-        direction, by_force = f0 / size[0][:, None], covariance[:, :3, :3]
+        # the direction of the contact's force, which may be small beside the weight
+        strength, by_force = np.linalg.norm(found.force[:, :n], axis=0), covariance[:, :3, :3]
+        direction = (found.force[:, :n] / strength).T
         along_force = np.einsum("ni,nij,nj->n", direction, by_force, direction)
-        force = np.sqrt(np.maximum(np.trace(by_force, axis1=1, axis2=2) - along_force, 0.0)) / size[0]
+        force = np.sqrt(np.maximum(np.trace(by_force, axis1=1, axis2=2) - along_force, 0.0)) / strength
     error = _where(np.isfinite(spread).all(axis=(1, 2)), point, s1, beta, tangent, force)
     return Marched._make(column[..., :n] for column in found), error
 

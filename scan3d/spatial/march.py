@@ -23,7 +23,20 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from planar.rods import COARSE, PLACES, STEPS, TRIED, Profile, along, crossings, drawn, enough_steps, grid, tableau
+from planar.rods import (
+    COARSE,
+    GIVES,
+    PLACES,
+    STEPS,
+    TRIED,
+    Profile,
+    along,
+    crossings,
+    drawn,
+    enough_steps,
+    grid,
+    tableau,
+)
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import cross, sphere_directions
 
@@ -155,15 +168,21 @@ def shapes(
 
 
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
-    """Support reactions ``f0`` and ``m0`` (3, n) of the rod in the air under gravity along unit vectors (3, n)."""
+    """Support reactions ``f0`` and ``m0`` (3, n) of the rod in the air under gravity along unit vectors (3, n).
+
+    Raises ValueError where the clamp gives so much that none are found.
+    """
     down = np.asarray(gravity, dtype=float)
     moment = np.zeros_like(down)
-    for _ in range(_ROUNDS):  # a clamp that gives: a contraction for clamps that hold
+    for share in np.repeat(
+        [1.0, 0.5], _ROUNDS
+    ):  # a contraction for clamps that hold, by halves for those that give much
         state = _start(rod, np.zeros_like(down), moment, down)
-        before, moment = moment, _rotated(state[_Q], _overhang(rod)(0.0, state))
-        if not (np.abs(moment - before) > _SETTLED).any():
-            break
-    return -rod.profile.weight * down, -moment
+        change = _rotated(state[_Q], _overhang(rod)(0.0, state)) - moment
+        moment = moment + share * change
+        if not (np.abs(change) > _SETTLED).any():
+            return -rod.profile.weight * down, -moment
+    raise ValueError(GIVES)
 
 
 def _clamped(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None) -> tuple[Array, Array]:
