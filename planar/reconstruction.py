@@ -462,9 +462,6 @@ def errors(
         )
     if covariance is not None and np.shape(covariance) != (np.size(f0x), 3, 3):
         raise ValueError(f"covariance must have the shape (n, 3, 3) of n reactions, got {np.shape(covariance)}")
-    if covariance is None and not max(*noise, known_sd):
-        zero = np.zeros(len(np.asarray(f0x)))
-        return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
     spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) if slopes is None else slopes
     own = np.array(NAMES) == missing
     if missing is not None:
@@ -473,9 +470,11 @@ def errors(
         force, moment = noise
         spread = spread * np.where(own, 1.0, [force, force, moment])
     else:  # what was completed has its own deviation already, and none in common with the others
-        measured = np.where(own | own[:, None], np.diag(own), np.nan_to_num(covariance))
-        sizes, vectors = np.linalg.eigh(measured)
+        measured = np.where(own | own[:, None], np.diag(own), covariance)
+        known_rows: Mask = np.asarray(np.isfinite(measured).all(axis=(1, 2)))
+        sizes, vectors = np.linalg.eigh(np.where(known_rows[:, None, None], measured, 0.0))
         spread = spread @ (vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None])
+        spread[~known_rows] = np.nan
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
         point = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
         mean, half = (point[:, 0, 0] + point[:, 1, 1]) / 2, (point[:, 0, 0] - point[:, 1, 1]) / 2
@@ -504,9 +503,12 @@ def contacts_with_errors(
 
     `completed` are `missing`, `known` and `known_sd` of `errors`; the contacts at the tip are those of exact reactions.
     """
-    columns, solved, told = checked_reactions(x0, f0x, f0y, m0z), None, completed.copy()
-    if covariance is not None or max(*noise, completed.get("known_sd", 0.0)):
-        solved, told["slopes"] = _solved_with_slopes(columns, direction, rod)
+    columns, told = checked_reactions(x0, f0x, f0y, m0z), completed.copy()
+    if covariance is None and not max(*noise, completed.get("known_sd", 0.0)):
+        found = reconstruct(*columns, tolerance=tolerance, direction=direction, rod=rod)
+        zero = np.where(found.status == Status.NO_ROD, np.inf, 0.0)
+        return found, Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
+    solved, told["slopes"] = _solved_with_slopes(columns, direction, rod)
     if solved is None:
         found = reconstruct(*columns, tolerance=tolerance, direction=direction, rod=rod)
     else:

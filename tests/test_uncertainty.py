@@ -56,3 +56,13 @@ def test_reactions_without_a_rod_have_no_derivatives():
     jacobian = planar.jacobian(*np.transpose([no_force, wrong_side, too_large, reactions(0.2)[:, 5]]))
     assert np.isnan(jacobian[:3]).all()
     assert np.isfinite(jacobian[3]).all()
+
+
+def test_rows_that_no_rod_has_have_no_deviation_without_noise_either():
+    for noise in ((0.0, 0.0), (1e-9, 0.0)):
+        found = planar.errors([1.0, -1.0], [1.0, 1.0], [9.0, 1.0], noise=noise)
+        assert found.largest[0] == np.inf
+        assert found.largest[1] <= 1e-8
+    unknown = np.full((1, 3, 3), np.nan)
+    assert planar.errors([-1.0], [1.0], [1.0], noise=(0.0, 0.0), covariance=unknown).largest == [np.inf]
+    assert planar.errors(-1.0, 1.0, 1.0, noise=(0.0, 0.0)).largest == [0.0]
