@@ -56,7 +56,11 @@ class Status(Explained):
     OK = 0, "a contact"
     NO_FORCE = 1, "nothing touches: there is no force, or a value is missing or infinite"
     WRONG_SIDE = 2, "the clamping moment is that of a rod bent against the sweep; check its sign or the direction"
-    NO_ROD = 3, "no rod has these reactions: the moment is more than the force can hold"
+    NO_ROD = (
+        3,
+        "no rod has these reactions: the moment is more than the force can hold; of a rod that is not straight and uniform, "
+        "also if the contact would lie more than half a rod past the tip",
+    )
     INFLECTION = (
         4,
         "the rod would have to be pulled along the contour (a friction angle below 0), or it has an "

@@ -205,6 +205,11 @@ def test_stated_errors_are_those_of_noisy_reactions(rod):
     np.testing.assert_allclose(np.sqrt((turned**2).sum(axis=1).mean()), stated.force[0], rtol=0.15)
 
 
+def test_a_force_without_a_moment_does_not_bend_a_straight_rod_whatever_its_taper():
+    for rod in (None, SpatialRod(compliance=0.01), SpatialRod(Profile(diameters=(1.0, 0.5)))):
+        assert inverse.reconstruct([[1.0, 1.0, 0.0]], [[0.0] * 3], rod=rod).status == inverse.Status.NO_MOMENT
+
+
 def test_errors_of_the_straight_uniform_rod_are_those_of_the_closed_form():
     swept = planar.sweep(planar.Circle(radius=0.9, center=(0.0, 1.3)), 0.3, samples=20)
     zero = 0 * swept.x0[3:-1]

@@ -47,7 +47,8 @@ class Status(Explained):
     )
     NO_ROD = (
         3,
-        "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod",
+        "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod; of a "
+        "rod that is not straight and uniform, also if the contact would lie farther past the tip than the rod is long",
     )
     BEYOND_TIP = 4, "the contact would lie past the rod's tip"
 
@@ -188,7 +189,7 @@ def reconstruct(
         known = np.isfinite(s1) & np.isfinite(point).all(axis=1) & np.isfinite(tangent).all(axis=1)
     # where several reasons apply, the last one counts
     status = np.where(known, Status.OK, Status.NO_ROD).astype(np.int8)
-    if other is None:
+    if other is None or not (any(other.curvature) or other.profile.weight):
         status[(m0[:, 0] == 0) & (m0[:, 2] == 0)] = Status.NO_MOMENT
     status[~(np.isfinite(f0) & np.isfinite(m0)).all(axis=1) | (force == 0).all(axis=1)] = Status.NO_FORCE
     bending = np.stack([ex, 0 * ex, ez], axis=1)
