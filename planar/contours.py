@@ -602,7 +602,7 @@ class Circle(SmoothContour):
         return np.abs(np.hypot(offset[..., 0], offset[..., 1]) - self.radius)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Polygon(Contour):
     """Polygon with `vertices` (n, 2) in rod lengths, in either order: any simple loop.
 
@@ -666,7 +666,7 @@ class _Looped(Contour):
         return np.abs(self._outline.nearest(np.zeros(len(points), dtype=np.intp), points).gap)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Curve(_Looped):
     """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not: a periodic cubic spline.
 

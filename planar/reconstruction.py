@@ -86,7 +86,7 @@ _VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope
 _COLUMNS = ("s1", "force", "force_angle", "friction_angle_bound", "friction_angle", "friction", "slope")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Contacts(Shown):
     """Contacts (n,) recovered from support reactions, dimensionless; NaN where a value is unknown.
 
@@ -410,7 +410,11 @@ def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> tup
 
 
 class Errors(NamedTuple):
-    """Standard deviations (n,) and covariances of contacts, dimensionless; infinite where no rod has the reactions."""
+    """Standard deviations (n,) and covariances of contacts, dimensionless; infinite where no rod has the reactions.
+
+    `point` (n, 2, 2) is the covariance of the place, `largest` its deviation in its least certain direction; `s1`,
+    `friction_angle` and `slope` (in tangential contact) are deviations of what `planar.Contacts` calls so.
+    """
 
     point: Array
     """(n, 2, 2) covariance of the place."""

@@ -69,7 +69,7 @@ CONTACT = np.dtype(
 contour, whose outward normal is ``(sin α̃, -cos α̃)``."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Shown):
     """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch.
 
@@ -142,7 +142,7 @@ class Sweep(Shown):
         return records
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweepOfAnyBody(Sweep):
     """A sweep in which the rod may touch at several places."""
 
@@ -518,7 +518,7 @@ class EventKind(Explained):
     SNAP_OFF = 4, "the equilibrium ends in a fold, and no other exists further along: the rod leaves the contour"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Events:
     """Events (e,) of a sweep in their order, dimensionless."""
 

@@ -31,6 +31,6 @@ def import_open3d(what: str, otherwise: str = "") -> Any:
         # the extra knows which of open3d's two distributions suits the machine
         command = "pip install 'scan3d[open3d]'"
         if not isinstance(error, ModuleNotFoundError):
-            command = "install its system libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1)"
+            command = "install its system libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1 libusb-1.0-0)"
         raise InputError(f"{what} open3d, which can't be imported ({error}): {command}{otherwise}") from None
     return open3d

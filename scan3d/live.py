@@ -190,8 +190,8 @@ class Live:
         if sweep is not None:
             check_whole("sweep", sweep, 0)
         place, turn, shown = self._checked(t, position, quaternion, wrench)
-        self.state = "unknown"
         if not all(map(np.isfinite, (t, place.sum(), turn.sum(), shown.sum()))):
+            self.state = "unknown"
             return None
         if t < self._time:
             raise InputError(
@@ -202,6 +202,7 @@ class Live:
         check_positions("the row", place[None], self._like.rod.length_m)
         self._time = t
         if self._zero is None:
+            self.state = "unknown"
             self._wait(t, shown)
             return None
         tared = (shown - self._zero)[None]

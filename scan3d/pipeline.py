@@ -21,6 +21,7 @@ import trimesh
 
 from scan3d.bounds import bounding_nothing, certificate, enclosure, unbounded
 from scan3d.bounds.reach import reach as within_reach
+from scan3d.bounds.reach import too_fine
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_with_points
@@ -95,6 +96,8 @@ def scan(
             body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit) if is_path else judge_mesh(mesh, hull=chosen.hull)
         if is_path and (question := unit_question(float(body.extents.max()), plan.unit)):
             notify(question)
+        if chosen.reach and (why := too_fine(body.vertices, chosen.reach, 0.0, plan.unit)):
+            notify(f"nothing will bound the body: {why}")
         with clock("simulate"):
             return with_origin(simulate_judged(body, plan), body), body
 

@@ -23,7 +23,7 @@ hypothesis.settings.load_profile("scan3d")
 _NEEDS = {
     "rendering": "nothing here can render off screen: apt-get install libegl1 libgl1",
     "browser": "there is no Chromium here: apt-get install chromium",
-    "open3d": "open3d can't be imported here: apt-get install libgl1 libgomp1",
+    "open3d": "open3d can't be imported here: apt-get install libgl1 libgomp1 libusb-1.0-0",
 }
 
 

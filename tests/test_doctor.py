@@ -73,7 +73,7 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     assert state["ok"]
     assert (state["rendering"], state["open3d"]["works"]) == (False, False)
     assert {item["what"]: item["command"] for item in state["missing"]} == {
-        "open3d": "apt-get install libgl1 libgomp1" if known else None,
+        "open3d": "apt-get install libgl1 libgomp1 libusb-1.0-0" if known else None,
         "renderer": "apt-get install libegl1 libgl1" if known else None,
     }
     stdout = table("", doctor.summary(state))

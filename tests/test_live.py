@@ -1,6 +1,7 @@
 """Rows that are pushed one by one give what the whole recording gives, to the last bit."""
 
 import functools
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -154,6 +155,16 @@ def test_a_calibrated_rig_corrects_the_rows_as_it_corrects_a_recording(tmp_path)
     # they lie on the sphere that was touched
     away = np.linalg.norm(cloud.points / 1000 - rigs.CENTRE, axis=1) - rigs.DIAMETER / 2
     assert np.median(np.abs(away)) < 5e-4
+
+
+def test_a_state_stays_until_the_next_row_is_known(monkeypatch):
+    """A page may ask for it at any time."""
+    module, recording, seen = sys.modules[scan3d.Live.__module__], scanned("planar"), []
+    contact, live = module._contact, scan3d.Live(recording)
+    monkeypatch.setattr(module, "_contact", lambda *row: seen.append(live.state) or contact(*row))
+    _, states = pushed(live, recording)
+    assert "unknown" not in states
+    assert set(seen) == {"air", "touching"}
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rings import cassini, recording_of
 
+from scan3d import pipeline
 from scan3d.bounds import grids
 from scan3d.bounds import reach as module
 from scan3d.bounds.reach import reach
@@ -18,6 +19,7 @@ from scan3d.geometry.distance import Search
 from scan3d.pipeline import analyse, write
 from scan3d.reconstruction.contacts import contacts
 from scan3d.report import report, summary
+from scan3d.settings import settings
 from tests.robustness.shot_rods import noisy
 
 pytestmark = pytest.mark.slow
@@ -177,3 +179,12 @@ def test_a_reach_is_positive_and_not_too_fine_for_the_grid():
     )
     # the least one that is said is one, although the grid's cells grow with it
     assert "too fine" not in str(reach(*peanut(), float(least[1]) / {"µm": 1000, "mm": 1}[least[2]]).unbounded)
+
+
+def test_a_scan_says_before_it_begins_that_a_reach_is_too_fine(monkeypatch):
+    said = []
+    monkeypatch.setattr(pipeline, "simulate_judged", lambda *_: said.append("simulating") or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        pipeline.scan("meshes/hollow/peanut.stl", settings({"reach": 0.01}), notify=said.append)
+    assert "a reach of 10 µm is too fine for a body of this size" in said[0]
+    assert said[1:] == ["simulating"]

@@ -118,6 +118,15 @@ def _finest(contacts: Array, R: float, bead: float) -> float:
     return 1.001 * least
 
 
+def too_fine(points: Array, R: float, bead: float, unit: str) -> str | None:
+    """That a reach, or the radius of a bead alone, bounds nothing of a body with these places (n, 3); None if it may."""
+    if Grid.around(points, R + bead).step * _COARSEST <= (R or bead):
+        return None
+    what = f"a reach of {length(R, unit)}" if R else f"the radius of a bead, {length(bead, unit)},"
+    least = length(_finest(points, R, bead), unit, up=True)
+    return f"{what} is too fine for a body of this size; it must be at least {least}"
+
+
 def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = None) -> Reach:
     """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices and probings.
 
@@ -142,13 +151,11 @@ def reach(recording: Recording, cloud: Cloud, R: float = 0.0, surface: Any = Non
     contacts, errors = touched.points, place_errors(touched) + _SMOOTH * R
     error = float(errors.max())
     grid = Grid.around(contacts, R + bead)
+    if why := too_fine(contacts, R, bead, cloud.unit):
+        nothing, why = below(np.full(grid.shape, np.inf), 0.0, grid), f"nothing bounds the body: {why}"
+        return Reach(nothing, nothing, np.inf, None, why, _NOTHING_FINER if R else _ANY_SHAPE, [])
     finest = _finest(contacts, R, bead)
     least = length(finest, cloud.unit, up=True)
-    if grid.step * _COARSEST > (R or bead):
-        nothing = below(np.full(grid.shape, np.inf), 0.0, grid)
-        what = f"a reach of {length(R, cloud.unit)}" if R else f"the radius of a bead, {length(bead, cloud.unit)},"
-        why = f"nothing bounds the body: {what} is too fine for a body of this size; it must be at least {least}"
-        return Reach(nothing, nothing, np.inf, None, why, _NOTHING_FINER if R else _ANY_SHAPE, [])
     free = _passed_by_beads(recording, cloud, R) if bead else _passed(recording, cloud, sheets, R, error)
     half = grid.step * np.sqrt(3) / 2
     to_contact = grid.distance(contacts)

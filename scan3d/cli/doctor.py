@@ -63,7 +63,7 @@ def examine() -> dict[str, Any]:
         if packages[name] is None:
             lacks(name, OPTIONAL.get(name, "every scan"), "not installed", _pip(name))
     if packages["open3d"] is not None and open3d_error:
-        lacks("open3d", OPTIONAL["open3d"], open3d_error, "apt-get install libgl1 libgomp1")
+        lacks("open3d", OPTIONAL["open3d"], open3d_error, "apt-get install libgl1 libgomp1 libusb-1.0-0")
     if not (pictures := _can_render()):
         lacks("renderer", "pictures", "nothing can render off screen", "apt-get install libegl1 libgl1")
     return {
