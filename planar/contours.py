@@ -153,7 +153,12 @@ class Outlines:
         self._piece, self._u = curves[curve], (step + 0.5) / number[curve]
         points = self.at(self._piece, self._u).point
         self.samples = points
-        self._tree = scipy.spatial.cKDTree(np.column_stack([points, _APART * self.body[self._piece]]))
+        # both ends of edges too: six samples of others may be nearer than the first one beside a vertex
+        ends = np.repeat(curves[~self.is_closed[curves]], 2)
+        self._near = np.concatenate([self._piece, ends])
+        self._near_u = np.concatenate([self._u, np.arange(len(ends)) % 2])
+        near = self.at(self._near, self._near_u).point
+        self._tree = scipy.spatial.cKDTree(np.column_stack([near, _APART * self.body[self._near]]))
         begins = np.flatnonzero(np.diff(self.body[self._piece], prepend=-1))
         # vertices are among the extreme points
         both = np.stack([self.at(self._piece, np.floor(self._u)).point, points])
@@ -205,7 +210,7 @@ class Outlines:
         asked = np.column_stack([points, _APART * body])
         _, sample = self._tree.query(asked, k=_NEAREST)
         # of samples on one piece only the nearest
-        piece, u = self._piece[sample], self._u[sample]
+        piece, u = self._near[sample], self._near_u[sample]
         repeated = np.zeros(piece.shape, dtype=bool)
         for k in range(1, _NEAREST):
             repeated[:, k] = (piece[:, :k] == piece[:, k : k + 1]).any(axis=1)

@@ -29,6 +29,16 @@ def test_signed_distances_from_a_polygon():
         assert np.abs(step - 1e-7).max() < 1e-8
 
 
+def test_distances_from_a_vertex_that_faces_an_edge():
+    """About as far from both: many samples of the edge are nearer than the first one beside the vertex."""
+    rng = np.random.default_rng(4)
+    for height in rng.uniform(0.05, 0.5, 30):
+        polygon = planar.Polygon([[0, 0], [2, 0], [2, 1], [1.002, 1], [1, height], [0.998, 1], [0, 1]])
+        points = np.array([1, height / 2]) + 3e-4 * rng.normal(size=(100, 2))
+        gap = Outlines([polygon.loops()]).nearest(at_zero(points), points).gap
+        assert np.abs(gap + polygon.distance(points)).max() < 1e-14
+
+
 def test_signed_distances_from_a_curve():
     x, y = cassini(0.8)
     curve = planar.Curve.from_points(x, y)
