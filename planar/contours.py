@@ -688,14 +688,16 @@ class Curve(_Looped):
         points = _checked_points(points, "a curve", "points")
         if len(points) > 1 and (points[0] == points[-1]).all():
             points = points[:-1]
-        _, area = _extent(points)
-        points = np.ascontiguousarray(points if area > 0 else points[::-1])
         if not np.hypot(*(points - np.roll(points, 1, axis=0)).T).all():
             raise ValueError("a curve needs points that differ from their neighbours")
+        # between few points the curve swings far from their polygon, which may even run the other way around
+        powers = np.linspace(0, 1, max(4, 2048 // len(points)), endpoint=False)[:, None] ** np.arange(4)
+        between = np.einsum("fk,pkx->pfx", powers, spline_loop(points).cubics).reshape(-1, 2)
+        _, area = _extent(between)
+        _check_crossing(between, "curve")
+        points = np.ascontiguousarray(points if area > 0 else points[::-1])
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
-        between = np.linspace(0, 1, 4 * len(points), endpoint=False)
-        _check_crossing(self._outline.at(np.zeros(len(between), dtype=np.intp), between).point, "curve")
 
     @classmethod
     def from_points(cls, x: ArrayLike, y: ArrayLike) -> Curve:

@@ -55,6 +55,30 @@ def test_signed_distances_from_a_curve():
     assert curve.distance(np.stack([x, y], axis=1)).max() < 1e-14
 
 
+# the curve through the first crosses itself, their polygon does not; the curve through the others runs against their polygon
+CROSSED = [[38, 953], [-28, 288], [-234, 781], [-197, 88], [-389, 7], [-894, -62], [219, -427], [534, -781]]
+AGAINST = [[-368, 576], [-223, -16], [-40, -257], [54, -883], [80, -889]]
+
+
+def test_curves_that_are_accepted_run_counter_clockwise_and_do_not_cross_themselves():
+    rng = np.random.default_rng(5)
+    given = [rng.uniform(-1, 1, (rng.integers(3, 9), 2)) for _ in range(100)]
+    for near in (CROSSED, AGAINST):
+        given += [np.array(near) / 1000 + 0.01 * rng.normal(size=(len(near), 2)) for _ in range(30)]
+    accepted = 0
+    for points in given:
+        try:
+            curve = planar.Curve(points)
+        except ValueError:
+            continue
+        accepted += 1
+        places = Outlines([curve.loops()]).at(np.zeros(2000, np.intp), np.arange(2000) / 2000).point
+        x, y = places.T
+        assert crosses_itself(places) is None
+        assert (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0
+    assert accepted > 50
+
+
 def test_circles_and_ellipses_are_loops_too():
     rng = np.random.default_rng(3)
     points = rng.uniform([-1, -0.1], [1, 1.9], (300, 2))
