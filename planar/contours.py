@@ -735,8 +735,9 @@ class Contours(_Looped):
                 apart = (outlines[i].low > outlines[k].high) | (outlines[k].low > outlines[i].high)
                 if k != i and not apart.any():
                     points = outlines[i].samples
-                    inside = outlines[k].nearest(np.zeros(len(points), dtype=np.intp), points, 0.0).gap < 0
-                    if inside.any() != inside.all():
+                    gap = outlines[k].nearest(np.zeros(len(points), dtype=np.intp), points, ROUNDING).gap
+                    inside = gap < -ROUNDING
+                    if inside.any() != inside.all() or (np.abs(gap) <= ROUNDING).all():
                         raise ValueError("contours in one plane must not overlap; give the outline of their union")
                     hidden |= bool(inside.all())
             if not hidden:

@@ -108,6 +108,23 @@ def test_contours_inside_others_are_out_of_reach():
     assert ring.distance(np.array([[0.0, 0.8]]))[0] == pytest.approx(0.3)
 
 
+def test_contours_that_coincide_overlap_and_those_that_share_an_edge_do_not():
+    """Whatever rounding makes of their distances."""
+    for x, y, size in np.random.default_rng(6).uniform(0.1, 0.9, (10, 3)):
+        place = np.array([x, y])
+        square, circle = size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) + place, planar.Circle(size, (x, y))
+        peanut = np.stack(cassini(size, 50), axis=1) + place
+        for one, other in (
+            (planar.Polygon(square), planar.Polygon(np.roll(square, 1, axis=0))),
+            (planar.Curve(peanut), planar.Curve(np.roll(peanut, 7, axis=0))),
+            (circle, circle),
+            (circle, planar.Ellipse((size, size), (x, y), size)),
+        ):
+            with pytest.raises(ValueError, match="must not overlap"):
+                planar.Contours([one, other])
+        assert len(planar.Contours([planar.Polygon(square), planar.Polygon(square + size * np.eye(2)[0])]).parts) == 2
+
+
 def test_crossings_are_found_wherever_they_are():
     angle = np.linspace(0, 2 * np.pi, 500, endpoint=False)
     wavy = (1 + 0.3 * np.cos(9 * angle))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
