@@ -695,7 +695,7 @@ class Curve(_Looped):
         between = np.einsum("fk,pkx->pfx", powers, spline_loop(points).cubics).reshape(-1, 2)
         _, area = _extent(between)
         _check_crossing(between, "curve")
-        points = np.ascontiguousarray(points if area > 0 else points[::-1])
+        points = np.array(points if area > 0 else points[::-1])  # a copy, which the caller may not change
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
 
