@@ -33,6 +33,8 @@ from planar.rods import Rod, as_rod, solve
 
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8
+# How often the step to the border past which there is no rod is halved, in search of a root before it.
+_HALVINGS = 8
 
 Residual = Callable[..., Array]
 
@@ -121,7 +123,7 @@ def complete(
 
     # a moment that is not positive is that of a rod bent against the sweep
     # denser near zero, in EI/L² or EI/L; the largest bends a rod by more than a right angle, however it is held
-    tried = np.sinh(np.linspace(0.05, 7.0, 71)) / 10
+    tried = np.sinh(np.linspace(0.001, 7.8, 79)) / 10
     if missing != 2:
         tried = np.concatenate([-tried[::-1], tried])
     at_tip = np.ones(count)
@@ -159,7 +161,8 @@ def _known_angle(friction: ArrayLike | None, slope: ArrayLike | None, side: int,
 def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -> Array:
     """All roots (n, most) of a residual, NaN where a row has fewer.
 
-    They lie between values tried at which its sign differs, or on both sides of an extremum beyond zero.
+    They lie between values tried at which its sign differs, on both sides of an extremum beyond zero, or next to the border
+    past which there is no rod.
     """
     from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
 
@@ -169,6 +172,25 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
     values = np.concatenate(columns, axis=1)
     row, k = np.nonzero(values[:, :-1] * values[:, 1:] < 0)
     low, high = tried[k], tried[k + 1]
+
+    # between the last value that a rod has and the border past which there is none, where the residual falls towards it
+    there = np.isfinite(values)
+    edge, k = np.nonzero(there[:, :-1] != there[:, 1:])
+    up = np.where(there[edge, k], 1, -1)
+    inner = k + (up < 0)
+    before = np.pad(values, ((0, 0), (1, 1)), constant_values=np.nan)[edge, inner + 1 - up]
+    within, border = np.stack([tried[inner], values[edge, inner]]), tried[inner + up]
+    for _ in range(_HALVINGS):
+        falls = ~(before * within[1] < within[1] ** 2)
+        edge, before, within, border = edge[falls], before[falls], within[:, falls], border[falls]
+        middle = (within[0] + border) / 2
+        found = residual(middle, a[edge], b[edge], known[edge])
+        exists = np.isfinite(found)
+        crossed = within[1] * found < 0
+        row = np.concatenate([row, edge[crossed]])
+        low, high = np.concatenate([low, within[0, crossed]]), np.concatenate([high, middle[crossed]])
+        before, border = np.where(exists, within[1], before), np.where(exists, border, middle)
+        within = np.where(exists, [middle, found], within)
 
     sign = np.sign(values[:, 1:-1])
     before, here, after = (sign * values[:, part] for part in (slice(-2), slice(1, -1), slice(2, None)))

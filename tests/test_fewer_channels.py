@@ -7,6 +7,7 @@ import pytest
 
 import planar
 from planar.channels import Frames, by_push
+from planar.rods import solve
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 CONE = planar.Rod(tip_diameter=0.5)
@@ -56,6 +57,32 @@ def test_known_slopes_and_tips_stand_for_a_channel(missing):
         done = planar.complete(*without(sweep, missing), near=near, **known)
         found = planar.reconstruct(*done.reactions)
         assert np.abs(found.point - sweep.point)[rows & felt(sweep)].max() < 1e-12
+
+
+@pytest.mark.parametrize("missing", CHANNELS)
+def test_no_root_is_lost_at_the_border_of_all_rods(missing):
+    # any rods, scaled so that they touch with their tips
+    rng, count = np.random.default_rng(0), 2000
+    angle = rng.uniform(-3, 3, count)
+    reactions = np.stack([-np.sin(angle), np.cos(angle), 2 * np.cos(angle / 2) * rng.uniform(0.001, 1, count)])
+    s1 = solve("closed-form", planar.Rod(), *reactions).s1
+    reactions *= s1 ** [[2], [2], [1]]
+    reactions = reactions[:, (s1 > 0.01) & (s1 < 11)]
+    assert reactions.shape[1] > 500
+    true = reactions[CHANNELS.index(missing)]
+    given = [None if name == missing else column for name, column in zip(CHANNELS, reactions, strict=True)]
+    x0 = np.zeros(len(true))
+    found = getattr(planar.complete(x0, *given, tip=True, near=true).reactions, missing)
+    alone = planar.complete(x0, *given, tip=True)
+    np.testing.assert_allclose(found, true, rtol=1e-5)
+    np.testing.assert_allclose(getattr(alone.reactions, missing)[alone.roots == 1], true[alone.roots == 1], rtol=1e-5)
+
+
+def test_all_rows_of_sweeps_along_tapered_rods_are_completed():
+    rod = planar.Rod(tip_diameter=0.4)
+    sweep = planar.sweep(planar.Circle(0.5, (0.0, 1.0)), 0.9, samples=20, rod=rod)
+    done = planar.complete(*without(sweep, "m0z"), friction=0.9, near=sweep.m0z, rod=rod)
+    np.testing.assert_allclose(done.reactions.m0z[felt(sweep)], sweep.m0z[felt(sweep)], rtol=1e-6)
 
 
 @pytest.mark.slow
