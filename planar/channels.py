@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import BLOCK, NAMES, Array, Index, Reactions, check_direction, checked_reactions, rows_of
 from planar.reconstruction import jacobian
-from planar.rods import Rod, as_rod, solve
+from planar.rods import Rod, as_rod, free_reactions, solve
 
 # Residual of a root, in rod lengths or radians; a change of sign without it is a jump.
 _ROOT = 1e-8
@@ -121,10 +121,10 @@ def complete(
         """What s1, β or α - β is more than the known value."""
         return lambda value, a, b, known: np.asarray(found(value, a, b)[which] - known)
 
-    # a moment that is not positive is that of a rod bent against the sweep
+    # a moment that is not positive is that of a rod bent against the sweep, but for its weight
     # denser near zero, in EI/L² or EI/L; the largest bends a rod by more than a right angle, however it is held
     tried = np.sinh(np.linspace(0.001, 7.8, 79)) / 10
-    if missing != 2:
+    if missing != 2 or rod.weight:
         tried = np.concatenate([-tried[::-1], tried])
     at_tip = np.ones(count)
     if slope is not None or tip:
@@ -377,13 +377,15 @@ def _followed(
     # what errors of the friction angle, the start and the steps change, in each sweep alike
     common = np.zeros((3, count, 4))
     curvature = np.zeros(count)  # of the surface up to a row
+    *hanging, free = free_reactions(rod)
+    bent = moment - free  # what the contact does, not the weight
     for k in range(int(rank.max(initial=-1)) + 1):
-        rows = np.flatnonzero((rank == k) & (moment > 0) & np.isfinite(begin))
-        push = moment[rows] / begin[rows]  # of a rod that is hardly bent
-        guess = np.stack([-push, moment[rows] ** 2 / 2 - push * np.sin(slip.beta[rows])], axis=1)
+        rows = np.flatnonzero((rank == k) & (bent > 0) & np.isfinite(begin))
+        push = bent[rows] / begin[rows]  # of a rod that is hardly bent
+        guess = hanging + np.stack([-push, bent[rows] ** 2 / 2 - push * np.sin(slip.beta[rows])], axis=1)
         if k:
             rows = rows[np.isfinite(force[rows - 1, 0])]
-            guess = force[rows - 1] * (moment[rows] / moment[rows - 1])[:, None]
+            guess = hanging + (force[rows - 1] - hanging) * (bent[rows] / bent[rows - 1])[:, None]
             if k > 1:
                 guess = 2 * force[rows - 1] - force[rows - 2]
         if not len(rows):

@@ -85,6 +85,22 @@ def test_all_rows_of_sweeps_along_tapered_rods_are_completed():
     np.testing.assert_allclose(done.reactions.m0z[felt(sweep)], sweep.m0z[felt(sweep)], rtol=1e-6)
 
 
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_whole_moments_of_heavy_rods_may_have_either_sign(direction):
+    # gravity bends the rod as the sweep moves, the contact against it: the moment passes zero
+    rod = planar.Rod(weight=3.0, gravity=(direction, 0.2), compliance=0.05)
+    sweep = planar.sweep(planar.Circle(0.3, (0.0, 0.75)), 0.3, samples=60, rod=rod, direction=direction)
+    rows = np.flatnonzero(sweep.phase == planar.Phase.TANGENTIAL)[1:6]
+    x0, f0x, f0y, m0z = np.array(sweep.reactions)[:, rows]
+    assert (m0z > 0).any()
+    assert (m0z < 0).any()
+    told = {"friction": 0.3, "direction": direction, "rod": rod}
+    done = planar.complete(x0, f0x, f0y, None, near=m0z, **told)
+    np.testing.assert_allclose(done.reactions.m0z, m0z, atol=1e-8)
+    followed = planar.complete_by_moment(x0, m0z, float(sweep.s1[rows[0]]), **told)
+    np.testing.assert_allclose(followed[1:], [f0x, f0y, m0z], atol=1e-8)
+
+
 @pytest.mark.slow
 def test_axial_force_and_moment_locate_contacts_of_tapered_rods_only():
     sweep = planar.sweep(CIRCLE, 0.0, samples=9)
