@@ -31,7 +31,7 @@ from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing, sha256
 from scan3d.geometry.distance import distances
-from scan3d.geometry.hulls import HULL_OF_MESH
+from scan3d.geometry.hulls import HULL_OF_MESH, is_convex
 from scan3d.pictures import canvas, page
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.parts import Scene, of_cloud, shown_surface
@@ -96,8 +96,9 @@ def scan(
             body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit) if is_path else judge_mesh(mesh, hull=chosen.hull)
         if is_path and (question := unit_question(float(body.extents.max()), plan.unit)):
             notify(question)
-        if chosen.reach and (why := too_fine(body.vertices, chosen.reach, 0.0, plan.unit)):
-            notify(f"nothing will bound the body: {why}")
+        hollow = chosen.reach and not is_convex(body)
+        if hollow and (why := too_fine(body.vertices, chosen.reach, 0.0, plan.unit)):
+            notify(f"the reach will bound nothing: {why}")
         with clock("simulate"):
             return with_origin(simulate_judged(body, plan), body), body
 

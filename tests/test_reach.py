@@ -186,5 +186,10 @@ def test_a_scan_says_before_it_begins_that_a_reach_is_too_fine(monkeypatch):
     monkeypatch.setattr(pipeline, "simulate_judged", lambda *_: said.append("simulating") or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         pipeline.scan("meshes/hollow/peanut.stl", settings({"reach": 0.01}), notify=said.append)
-    assert "a reach of 10 µm is too fine for a body of this size" in said[0]
+    assert "the reach will bound nothing: a reach of 10 µm is too fine for a body of this size" in said[0]
     assert said[1:] == ["simulating"]
+    # a convex body is bounded without it
+    said.clear()
+    with pytest.raises(ZeroDivisionError):
+        pipeline.scan("meshes/egg.stl", settings({"reach": 0.01}), notify=said.append)
+    assert said == ["simulating"]
