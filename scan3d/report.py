@@ -472,7 +472,8 @@ def _of_contacts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if data.get("model") == "touches":
         yield "touches", f"{counts['contacts']}, {counts['with_normals']} of them with normals"
     else:
-        where = "space" if data.get("model") == "spatial" else _count(swept, "slice")
+        empty = f" ({counts['slices']} with contact)" if swept > counts["slices"] else ""
+        where = "space" if data.get("model") == "spatial" else _count(swept, "slice") + empty
         sweeps = f"{_count(counts['sweeps'] - probings, 'sweep')} in {where}" if counts["sweeps"] > probings else ""
         moves = " and ".join(filter(None, [sweeps, _count(probings, "probing") if probings else ""]))
         yield "contacts", f"{counts['contacts']} of {counts['samples']} samples, {moves}"
