@@ -513,7 +513,8 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"
     if distances:
         unit = distances["unit"]
-        yield "Hausdorff distance", _distance(distances, unit) + of_scanned(data, "to")
+        lower = "" if distances["exact"] else "at least "  # the largest found between bodies that are not convex
+        yield "Hausdorff distance", lower + _distance(distances, unit) + of_scanned(data, "to")
         if _refuted(data):
             yield (
                 "refuted",

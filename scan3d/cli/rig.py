@@ -601,12 +601,16 @@ def import_(
         chosen = with_rig(chosen, str(rig))
     output.progress.tell("load")
     imported = convert(load(raw, chosen), chosen)
+    facts = _facts(imported)
     if written:
         output.progress.tell("write")
         with folder(written.parent):
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
-    facts = _facts(imported)
+        facts += [
+            ("after", f"{len(one)} samples in {len(set(one.sweep.tolist()))} sweeps of {after}, which are written as well")
+            for one in before
+        ]
     if drawn:
         with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
             views.draw(views.import_figure, imported, file)

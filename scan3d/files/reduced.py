@@ -105,7 +105,7 @@ def cross_section(shape: Shape, plane: str) -> list[Array]:
     frame = slice_frame(np.eye(3)["xyz".index(name)])
     loops = _solid(shape.points @ frame.T, shape.faces).slice(height).to_polygons()
     if not loops:
-        low, high = (float(end(shape.rows[name])) for end in (np.min, np.max))
+        low, high = (float(np.round(end(shape.rows[name]), 9)) + 0.0 for end in (np.min, np.max))
         raise InputError(
             f"the plane {plane} misses the surface, which is from {number(low)} to {length(high, shape.unit)}"
         )

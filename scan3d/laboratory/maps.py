@@ -417,7 +417,7 @@ def guess_map(path: str | Path) -> FirstMap:
         force, moment = wrench[:3], wrench[3:]
     if force[2] is None and None not in force[:2]:
         force = force[:2]
-    if None in moment and moment[2] is not None:
+    if moment[:2] == [None, None] and moment[2] is not None:
         moment = moment[2:]
     logged = {entry: _first(table, words) for entry, words in _WORDS.items()}
     columns = [f"{entry} = {_toml(name)}" for entry, name in logged.items() if name is not None]
