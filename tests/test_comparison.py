@@ -58,15 +58,15 @@ def test_averages_are_those_of_places_at_random(all_samples):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("within", "share"), [(0.6, 0.09), (3.0, 0.5)])
-def test_what_was_reached_of_a_sphere(all_samples, within, share):
+def test_what_was_reached_of_a_sphere(all_samples):
     """Archimedes: a cap of the unit sphere within d of its pole has d²/4 of its area; half of the sphere faces away."""
-    inner, outer = (trimesh.creation.icosphere(5, radius) for radius in (0.9, 1.0))
-    reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), outer, within)[2]
-    assert reached["share"] == pytest.approx(share, rel=2e-2)
-    assert [reached["mean"], reached["max"]] == pytest.approx([0.1, 0.1], abs=2e-3)
-    assert reached["in_cavities"] == 0
-    hollow = trimesh.util.concatenate([outer, trimesh.creation.icosphere(5, 0.5)])
+    inner, outer = (trimesh.creation.icosphere(4, radius) for radius in (0.9, 1.0))
+    for within, share in ((0.6, 0.09), (3.0, 0.5)):
+        reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), outer, within)[2]
+        assert reached["share"] == pytest.approx(share, rel=2e-2)
+        assert [reached["mean"], reached["max"]] == pytest.approx([0.1, 0.1], abs=2e-3)
+        assert reached["in_cavities"] == 0
+    hollow = trimesh.util.concatenate([outer, trimesh.creation.icosphere(4, 0.5)])
     hollow.faces[len(outer.faces) :] = hollow.faces[len(outer.faces) :, ::-1]
     reached = compare_with_points(inner, np.array([[0, 0, 1.0]]), hollow, within)[2]
     assert reached["in_cavities"] == pytest.approx(0.5**2 / (1 + 0.5**2), rel=1e-3)

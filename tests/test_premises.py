@@ -59,6 +59,10 @@ WRONG = {
 }
 
 
+# Of these the relative error is found as well as the bounds that allow for it.
+BOUNDED = [("curved", 1e-3), ("tapered", 0.0)]
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
 def test_a_right_recording_has_no_relative_error(noise):
     assert relative_error(recorded(noise)) == 0.0
@@ -70,6 +74,7 @@ def test_a_right_recording_has_no_relative_error(noise):
         pytest.param(wrong, noise, marks=() if (k + bool(noise)) % 2 else pytest.mark.trust)
         for k, wrong in enumerate(WRONG)
         for noise in (0.0, 1e-3)
+        if (wrong, noise) not in BOUNDED
     ],
 )
 def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
@@ -92,8 +97,7 @@ def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
 @pytest.mark.parametrize(
     ("wrong", "noise"),
     [
-        ("curved", 1e-3),
-        ("tapered", 0.0),
+        *BOUNDED,
         *(pytest.param(*case, marks=pytest.mark.trust) for case in (("gain of mz", 1e-4), ("clamp", 1e-3))),
     ],
 )
@@ -101,7 +105,7 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     """Without it, curvature of 0.5 % of 1/L makes the extents false, and the others take the certificate away."""
     analysis = analyse(recorded(noise, **WRONG[wrong]), BODY, "hull")
     assert not analysis.warnings
-    assert 0 < analysis.cloud.calibration.relative <= LARGEST
+    assert 1e-5 < analysis.cloud.calibration.relative <= LARGEST
     assert np.isfinite(analysis.certificate.bound)
     assert false_statements(BODY, analysis) == []
     assert analysis.recording.rig is None  # it is no part of the files
@@ -116,7 +120,7 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
 @pytest.mark.parametrize("fault", ["none", "weight of steel 0.3x50"])
 def test_nothing_is_false_for_a_rod_that_was_integrated_on_its_own(fault):
     """A short version of `tests.robustness.faults`: a polytope, which few places show to be touched by another rod."""
-    found = faults.outcome(1, 8, 1e-3, fault)
+    found = faults.outcome(1, 6, 1e-3, fault)
     assert found.false == []
     assert found.cause != "FALSE"
     assert (found.relative > 0) == (fault != "none")

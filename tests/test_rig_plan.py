@@ -154,7 +154,7 @@ def test_the_force_factor_is_the_most_of_all_bent_rods():
 def test_a_force_limit_keeps_the_clamp_farther_away():
     rod = Rod.wire(0.08, 0.0003, 210e9)
     free, limited = (
-        RigPlan(parse_envelope("cylinder:40x40"), rod=rod, samples=24, max_force_N=f) for f in (None, 0.15)
+        RigPlan(parse_envelope("cylinder:40x40"), rod=rod, slices=3, samples=24, max_force_N=f) for f in (None, 0.15)
     )
     clearance = limited.resolved_clearance()
     assert free.resolved_clearance() == 0.3 < clearance < FARTHEST

@@ -89,7 +89,7 @@ def test_contradicting_tangents_are_not_believed():
 @pytest.mark.slow
 def test_contacts_deeper_than_noise_explains_widen_the_bounds():
     """A rod that tapers by 2 % made the outer body false where the test of depths, by noise along the rod, did not see it."""
-    right, _, _ = recorded(0.3, directions=8, heights=8, samples=48, substeps=2, noise=(2e-4, 2e-4))
+    right, _, _ = recorded(0.3, directions=6, heights=6, samples=48, substeps=2, noise=(2e-4, 2e-4))
     thin = right.rod.length_m * 1e-6
     wrong = dataclasses.replace(right, rod=dataclasses.replace(right.rod, diameter_m=thin, tip_diameter_m=0.98 * thin))
     assert scan3d.reconstruct(right).pose_error == 0
@@ -174,7 +174,7 @@ def test_the_body_lies_beyond_no_plane_as_far_as_it_is_moved():
 
 @pytest.mark.slow
 def test_the_planes_bound_the_body():
-    body, cloud = noisy_cloud(0)
+    body, cloud = noisy_cloud(0, 800)
     bounds = enclosure(cloud)
     assert bounds.confidence == 0.95
     true = largest_difference(bounds.inner, body)

@@ -95,7 +95,7 @@ def scene(request):
 def test_sweeps_end_where_the_contact_comes_too_near():
     rng = np.random.default_rng(5)
     body, _ = cuboid(0.03, rng)
-    position, clamps = random_paths(body, 40, 48, rng)
+    position, clamps = random_paths(body, 20, 48, rng)
     whole, ended = (sweep(body, position, clamps, 0.2, nearest=nearest) for nearest in (0.0, 0.5))
     near = whole.s1 < 0.5
     kept = np.cumsum(near, axis=1) - near == 0
@@ -228,6 +228,8 @@ def test_stability_in_a_mirror_plane_changes_where_it_should(semi_axes):
     part = -measure[first - 1] / (measure[first] - measure[first - 1])
     critical = base[first - 1] + part * (base[first] - base[first - 1])
 
+    # finely only where it is read
+    base = np.append(np.linspace(base[0], critical + 0.05, 120), np.linspace(critical + 0.049, critical - 0.05, 120))
     aside = 1e-7
     position = np.stack([base, 0 * base, 0 * base + aside], axis=1)[None]
     swept = sweep(Ellipsoid(semi_axes, centre), position, np.eye(3)[None])

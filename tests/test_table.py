@@ -36,7 +36,7 @@ def recording():
     return swept(body(3))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2))])
 def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     mesh = body(seed)
     recording = swept(mesh)
@@ -73,11 +73,11 @@ def test_the_table_cuts_slices_along_any_axis(axis):
     assert false_bounds(mesh, bounds) == []
 
 
-@pytest.mark.parametrize(("seed", "radius"), [(0, 0.02), (1, 0.0), (2, 0.02)])
+@pytest.mark.parametrize(("seed", "radius"), [(0, 0.02), (1, 0.0), pytest.param(2, 0.02, marks=pytest.mark.trust)])
 def test_the_table_closes_contacts_in_space(seed, radius):
     shape = Ellipsoid(np.array([1.0, 0.8, 0.6])) if seed == 0 else random_polyhedron(seed)
     lowest = -float(shape.support(np.array([[0.0, 0.0, -1.0]]))[0])
-    cloud = spatial_cloud(shape, 3000, seed, radius, seen=lambda _, normals: normals[:, 2] > -0.6)
+    cloud = spatial_cloud(shape, 1500, seed, radius, seen=lambda _, normals: normals[:, 2] > -0.6)
     before = enclosure(cloud).bound
     bounds = enclosure(dataclasses.replace(cloud, table=lowest))
     assert largest_difference(bounds.inner, shape) <= bounds.bound < min(before, 1.0)
