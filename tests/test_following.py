@@ -82,7 +82,7 @@ def test_logs_of_two_moments_in_space_are_imported(tmp_path):
         rod, told = scan3d.Rod(LENGTH, 1e-4), dict(noise={"moment_Nm": noise * unit}, known=known)
         return scan3d.import_table(log, si_map(rod, [""] * 3, ["mx", "", "mz"], **told))
 
-    for seed in range(1):
+    for seed in range(2):
         measured = (moment + noise * np.random.default_rng(seed).standard_normal(moment.shape))[:, [0, 2]] * unit
         write_numbers(log, f"{POSED},mx,mz", *columns, measured)
         scan3d.write_recording(read(friction=0), tmp_path / "done.csv", overwrite=True)

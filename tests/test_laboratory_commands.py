@@ -67,7 +67,8 @@ def test_the_command_writes_a_recording_with_its_origin(place, capsys):
 def test_sweeps_come_after_those_of_an_earlier_recording(place, capsys):
     run = ["import", "raw.csv", "--map", "rig.toml", "--quiet"]
     assert main([*run, "--out", "first.csv"]) == 0
-    assert main([*run, "--after", "first.csv", "--out", "both.csv"]) == 0
+    assert main([*run[:-1], "--after", "first.csv", "--out", "both.csv"]) == 0
+    assert "sweeps of first.csv, which are written as well" in capsys.readouterr().out
     first, both = scan3d.read_recording("first.csv"), scan3d.read_recording("both.csv")
     count = len(np.unique(first.sweep))
     assert len(np.unique(both.sweep)) == 2 * count
@@ -199,6 +200,8 @@ ROBOTS = {
         {"force": xyz("F", " (N)"), "moment": xyz("T", " (N-m)"), "time": "Time"},
         {"position"},
     ),
+    "a moment without y": ([*xyz("F"), "Tx", "Tz"], {"moment": ["Tx", "(moment y)", "Tz"]}, {"moment"}),
+    "of a plane": (["Fx", "Fy", "Tz"], {"force": ["Fx", "Fy"], "moment": ["Tz"]}, {"position"}),
 }  # fmt: skip
 
 

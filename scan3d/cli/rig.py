@@ -608,7 +608,10 @@ def import_(
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
         facts += [
-            ("after", f"{len(one)} samples in {len(set(one.sweep.tolist()))} sweeps of {after}, which are written as well")
+            (
+                "after",
+                f"{len(one)} samples in {len(set(one.sweep.tolist()))} sweeps of {after}, which are written as well",
+            )
             for one in before
         ]
     if drawn:
