@@ -513,8 +513,8 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "surface", f"{method}, {closed}" if method else f"none: {surface['reason']}"
     if distances:
         unit = distances["unit"]
-        lower = "" if distances["exact"] else "at least "  # the largest found between bodies that are not convex
-        yield "Hausdorff distance", lower + _distance(distances, unit) + of_scanned(data, "to")
+        found = "" if distances["exact"] else ", the largest found"
+        yield "Hausdorff distance", _distance(distances, unit) + of_scanned(data, "to") + found
         if _refuted(data):
             yield (
                 "refuted",
