@@ -247,6 +247,16 @@ def test_reactions_of_the_free_rod(rod):
     assert planar.free_reactions(Rod(tip_diameter=0.5)) == (0, 0, 0)
 
 
+def test_a_clamp_that_gives_too_much_has_no_rest():
+    rod = Rod(weight=2.0, gravity=(0.5, 0.9), compliance=10.0)
+    for find in (
+        lambda: planar.free_reactions(rod),
+        lambda: free_reactions(SpatialRod(rod.profile, compliance=10.0), np.append(rod.down, 0.0)[:, None]),
+    ):
+        with pytest.raises(ValueError, match="gives so much under the rod's weight that no rest is found"):
+            find()
+
+
 def test_statuses_of_any_rod():
     rod = Rod(tip_diameter=0.6)
     swept = planar.sweep(CIRCLE, 0.3, samples=20, rod=rod)
