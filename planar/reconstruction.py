@@ -557,7 +557,7 @@ class ElasticLines(NamedTuple):
         return f"ElasticLines of {len(self.curved)} rods, with {self.curved.shape[1]} points up to the contact of each"
 
     def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
-        """The rods, those in tip contact in blue, the others in red up to the contact and in black beyond it.
+        """The rods, those in tip contact in ochre, the others in red up to the contact and in black beyond it.
 
         `axes` are matplotlib's, by default new ones; `style` is that of `matplotlib.axes.Axes.plot`.  Returns the axes.
         """

@@ -187,12 +187,14 @@ def test_a_reach_is_positive_and_not_too_fine_for_the_grid():
     for wrong in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="positive number"):
             reach(*peanut(), wrong)
-    said = reach(*peanut(), 0.1).unbounded
-    least = re.fullmatch(
-        r".*a reach of 100 µm is too fine for a body of this size; it must be at least ([\d.]+) (µm|mm)", said
-    )
-    # the least one that is said is one, although the grid's cells grow with it
-    assert "too fine" not in str(reach(*peanut(), float(least[1]) / {"µm": 1000, "mm": 1}[least[2]]).unbounded)
+    assert "a reach of 100 µm is too fine for a body of this size" in reach(*peanut(), 0.1).unbounded
+
+
+@pytest.mark.parametrize("extent", [(40, 40, 40), (60, 60, 0.5), (100, 100, 0.01), (200, 0.1, 0.1)])
+def test_the_least_reach_that_is_advised_is_one_although_the_cells_grow_with_it(extent):
+    places = np.array([(0, 0, 0), extent])
+    least = re.search(r"at least ([\d.]+) (µm|mm)", module.too_fine(places, 1e-4, 0.0, "mm"))
+    assert module.too_fine(places, float(least[1]) / {"µm": 1000, "mm": 1}[least[2]], 0.0, "mm") is None
 
 
 def test_a_scan_says_before_it_begins_that_a_reach_is_too_fine(monkeypatch):

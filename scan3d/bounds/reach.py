@@ -113,7 +113,7 @@ class _Free(NamedTuple):
 def _finest(contacts: Array, R: float, bead: float) -> float:
     """The least reach, or the least radius of a bead alone, that the cells allow, which grow with it; from above."""
     least = R or bead
-    for _ in range(20):  # each time a part of what is missing is left, a third in a thin plate
+    for _ in range(20):  # each time two thirds of what is missing are left, or less
         least = _COARSEST * Grid.around(contacts, least + bead if R else least).step
     return 1.001 * least
 

@@ -607,13 +607,9 @@ def import_(
         with folder(written.parent):
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
-        facts += [
-            (
-                "after",
-                f"{len(one)} samples in {len(set(one.sweep.tolist()))} sweeps of {after}, which are written as well",
-            )
-            for one in before
-        ]
+        for one in before:
+            counts = f"{len(one)} samples in {len(set(one.sweep.tolist()))} sweeps"
+            facts.append(("after", f"{counts} of {after}, which are written as well"))
     if drawn:
         with folder(drawn.parent, "--picture"), atomic(drawn, "--picture") as file:
             views.draw(views.import_figure, imported, file)

@@ -22,7 +22,7 @@ from scan3d.files.shapes import Shape, in_unit, read_part
 from scan3d.files.text import rows_as_text
 from scan3d.files.whole import atomic, check_file, folder
 from scan3d.geometry.sections import slice_frame
-from scan3d.units import length, number
+from scan3d.units import lengths
 
 CURVES = (".dxf", ".csv")
 """The formats of cross-sections."""
@@ -105,10 +105,8 @@ def cross_section(shape: Shape, plane: str) -> list[Array]:
     frame = slice_frame(np.eye(3)["xyz".index(name)])
     loops = _solid(shape.points @ frame.T, shape.faces).slice(height).to_polygons()
     if not loops:
-        low, high = (float(np.round(end(shape.rows[name]), 9)) + 0.0 for end in (np.min, np.max))
-        raise InputError(
-            f"the plane {plane} misses the surface, which is from {number(low)} to {length(high, shape.unit)}"
-        )
+        (low, high), unit = lengths([end(shape.rows[name]) for end in (np.min, np.max)], shape.unit)
+        raise InputError(f"the plane {plane} misses the surface, which is from {low} to {high} {unit}")
     return [np.column_stack([loop, np.full(len(loop), height)]) @ frame for loop in loops]
 
 
