@@ -72,19 +72,16 @@ def table() -> str:
 
 # %% The picture
 def draw() -> Figure:
-    """The rod in every state of the sweep, in the paper's colors; the contacts found, and their normals turned inwards."""
+    """The rod in every state of the sweep; the contacts found, and their normals turned inwards."""
     figure = Figure(figsize=(7.2, 4.0), layout="constrained")
     axes = figure.subplots()
     circle = contour.points(np.linspace(-np.pi / 2, np.pi / 2, 200))
     axes.fill(*circle.T, color="0.9")
-    lines = planar.elastic_lines(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z)
-    for phase, curved, straight in zip(sweep.phase, *lines, strict=True):
-        axes.plot(*curved.T, color="red" if phase == planar.Phase.TANGENTIAL else "blue", linewidth=0.8)
-        axes.plot(*straight.T, color="black", linewidth=0.8)
+    planar.elastic_lines(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z).plot(axes=axes)
     inwards = contacts.point - 0.2 * with_normals.normal
     axes.plot(*np.stack([contacts.point, inwards]).transpose(2, 0, 1), color="0.5", linewidth=0.8)
     axes.plot(*contacts.point.T, "k.", markersize=5)
-    axes.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", xlim=(-1.4, 1.1), ylim=(0.0, 1.3), aspect="equal")
+    axes.set(xlim=(-1.4, 1.1), ylim=(0.0, 1.3))
     return figure
 
 

@@ -389,20 +389,22 @@ def test_the_keys_reach_everything(tab):
 @pytest.mark.parametrize(("width", "height", "is_open"), [(390, 844, False), (1024, 768, True), (1440, 900, True)])
 def test_headline_and_legend_are_seen_at_once_and_cover_no_part_of_the_body(tab, width, height, is_open):
     try:
-        tab("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        tab("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=not is_open)
         wait_for(tab, f"innerWidth === {width}")
         reload(tab)
         assert tab.run("panel.open") == is_open
         for opened in (is_open, True):  # and as a user opens it
             tab.run(f"panel.open = {str(opened).lower()}; 1")
             wait_for(tab, f"document.body.classList.contains('with-panel') === {str(opened).lower()}")
-            tab.picture()
+            picture = tab.picture()
             box = tab.run("panel.getBoundingClientRect().toJSON()")
             for seen in (".headline", ".bar" if opened else "#brief .bar"):
                 bars = tab.run(f"[...document.querySelectorAll('{seen}')].map(e => e.getBoundingClientRect().toJSON())")
                 assert any(bar["width"] > 0 and bar["bottom"] <= box["bottom"] <= height for bar in bars)
             x, y = np.reshape(tab.run("[...onScreen(data.layers[0].points)]"), (-1, 3)).T[:2]
             assert ((x >= box["right"]) | (y >= box["bottom"])).all()
+            body = picture[int(y.min()) : int(y.max()), int(x.min()) : int(x.max())]
+            assert (body.min(axis=-1) < 240).mean() > 0.3  # and it is drawn
         # nothing is cut off where the panel is beside the body
         assert not is_open or tab.run("panel.scrollHeight <= panel.clientHeight")
     finally:

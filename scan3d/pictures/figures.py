@@ -292,9 +292,7 @@ def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> fl
     bar.outline.set_linewidth(0.05 * sheet.font)
     if type(shaded.norm).__name__ == "Normalize":
         bar.locator = MaxNLocator(6, steps=[1, 2, 5, 10])
-        bar.formatter.set_powerlimits((-4, 5))
-        bar.formatter.set_useMathText(True)
-        bar.ax.yaxis.get_offset_text().set_fontsize(sheet.font - 1)
+        in_powers(bar.ax.yaxis, sheet)
     bar.set_label(wrapped(shaded.title, height, sheet), fontsize=sheet.font, labelpad=0.6 * sheet.font)
     box = box_of(figure, bar.ax)
     margin = _MARGIN * sheet.em
@@ -326,6 +324,15 @@ def ticks(length: float, sheet: Sheet, room: float, most: int) -> Any:
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(int(np.clip(length / (room * sheet.em), 1, most)), steps=[1, 2, 2.5, 5, 10])
+
+
+def in_powers(axis: Any, sheet: Sheet) -> None:
+    """Label an axis by its values, or, where these are long, by theirs over a power of ten that stands at its end."""
+    formatter = axis.get_major_formatter()
+    formatter.set_useOffset(False)
+    formatter.set_powerlimits((-3, 5))
+    formatter.set_useMathText(True)
+    axis.get_offset_text().set_fontsize(sheet.font - 1)
 
 
 def legend(figure: Any, entries: list[tuple[str, str, str]], columns: int, font: float = FONT) -> Any:

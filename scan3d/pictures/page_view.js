@@ -52,6 +52,7 @@ void main() { shade = tint; beyond = side(position); gl_Position = place(positio
 in vec3 shade; uniform float core; out vec4 color;
 void main() { if (beyond > 0.0) discard; vec2 d = 2.0 * gl_PointCoord - 1.0; float r = dot(d, d); if (r > 1.0) discard;
   vec3 rim = vec3(dot(shade, vec3(0.3, 0.6, 0.1)) < 0.5 ? 0.96 : 0.1);
+  gl_FragDepth = gl_FragCoord.z + (r > core ? 0.001 : 0.0);  // the rim of a point covers no neighbour
   color = vec4(r > core ? rim : shade * (0.75 + 0.25 * sqrt(1.0 - r)), 1.0); }`),
   lines: program(head + `
 in vec3 begin, end; uniform vec2 pixel; uniform float width;

@@ -322,7 +322,7 @@ def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float
     figures.open_axes(axes, sheet.font - 1)
     axes.xaxis.set_major_locator(figures.ticks(width, sheet, 3.3, 5))
     axes.yaxis.set_major_locator(figures.ticks(_HISTOGRAM_HEIGHT * axes.figure.get_figheight(), sheet, 2.0, 5))
-    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+    figures.in_powers(axes.xaxis, sheet)
     axes.set_xlabel(figures.wrapped(title, width, sheet), fontsize=sheet.font)
     quantiles = weighted_quantiles(values[known], area[known], (0.05, 0.5, 0.95))
     digits = 2 - int(np.floor(np.log10(high - low)))
