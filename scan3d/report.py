@@ -525,7 +525,7 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "to the mesh itself", _distance(distances["mesh_itself"], unit)
         if near := distances.get("reached"):
             part = share(near["max"] / data["comparison"]["diagonal"])
-            over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share'])} of the true area"
+            over = f"{length(near['mean'], unit)} in the mean, over {_at_least(near['share']):g} % of the true area"
             if near["in_cavities"]:
                 over += f"; {share(near['in_cavities'])} bounds closed cavities, where nothing from outside comes"
             most = f"{length(near['max'], unit, up=True)} at most ({part} of the diagonal), at up to 20,000 places"
@@ -640,10 +640,9 @@ def _in_a_sentence(data: Mapping[str, Any]) -> str:
             return f"refuted: the true mesh is farther away than the {most} that touch certifies"
         return f"{_within(certified)}{body}, certified from touch{_with_confidence(certified)}"
     if is_cut:
-        shares = (
-            f"{share(coverage['known'])} of the surface known, {share(coverage['estimated'])} estimated between slices"
-        )
-        return f"{shares}, {_unknown(coverage, certified['unit'])}"
+        known, estimated, _ = _shares(coverage)
+        found = f"{known} of the surface known, {estimated} estimated between slices"
+        return f"{found}, {_unknown(coverage, certified['unit'])}"
     return "nothing certified: the summary says what is missing"
 
 
@@ -680,13 +679,20 @@ def of_scanned(data: Mapping[str, Any], word: str = "of") -> str:
 
 def touched(coverage: Mapping[str, Any], unit: str) -> str:
     """How much of the surface of a body was touched, and what remains, where and why."""
-    estimated = f", {share(coverage['estimated'])} estimated" if coverage["estimated"] else ""
-    return f"{_at_least(coverage['known'])} of the surface touched{estimated}, {_unknown(coverage, unit)}"
+    known, estimated, _ = _shares(coverage)
+    between = f", {estimated} estimated" if coverage["estimated"] else ""
+    return f"{known} of the surface touched{between}, {_unknown(coverage, unit)}"
 
 
-def _at_least(part: float) -> str:
-    """A part of a surface in per cent, never more than it is."""
-    return f"{np.floor(1000 * part) / 10:g} %"
+def _shares(coverage: Mapping[str, Any]) -> list[str]:
+    """What is known of a surface, rounded down, estimated, and unknown, rounded up, in per cent which add up to 100."""
+    known, told = (_at_least(part) for part in (coverage["known"], coverage["known"] + coverage["estimated"]))
+    return [f"{percent:g} %" for percent in (known, told - known, 100 - told)]
+
+
+def _at_least(part: float) -> float:
+    """Tenths of a per cent, in per cent, never more than a part is."""
+    return float(np.floor(round(1000 * part, 6)) / 10)
 
 
 def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
@@ -698,7 +704,7 @@ def _unknown(coverage: Mapping[str, Any], unit: str) -> str:
     # far from the origin a place has the digits that tell it from others as far away as the patch is wide
     away = int(np.log10(max(map(abs, center)) / extent)) if extent and any(center) else 0
     (wide, *place), symbol = lengths([extent, *center], unit, digits=max(4, away + 2))
-    left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
+    left = _shares(coverage)[2]
     patches = "in one patch" if len(unknown) == 1 else f"in {len(unknown)} patches, the largest"
     where = f"{patches} {wide} {symbol} wide at ({', '.join(place)})"
     reason = unknown[0].get("reason")

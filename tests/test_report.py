@@ -1,5 +1,6 @@
 """The report: quantities with their intervals against the true bodies."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -131,3 +132,14 @@ def test_places_of_patches_far_from_the_origin_are_told_apart():
     assert "2.5 mm wide at (10, 0, 0)" in touched(
         {"known": 0.9, "estimated": 0.0, "unknown": [patch | {"center": [10.0, 0.0, 0.0], "extent": 2.5}]}, "mm"
     )
+
+
+def test_shares_of_a_surface_add_up_and_promise_no_more_than_is_known():
+    patches = [{"extent": 2.0, "center": [1.0, 0.0, 0.0]}]
+    parts = np.random.default_rng(0).dirichlet([1.0, 0.1, 0.1], 200)
+    for known, estimated, unknown in [*parts, (1.0, 0.0, 0.0), (0.99937, 0.00063, 0.0)]:
+        coverage = {"known": known, "estimated": estimated, "unknown": patches if unknown else []}
+        said = [float(part) for part in re.findall(r"([\d.]+) %", touched(coverage, "mm"))]
+        assert sum(said) == pytest.approx(100)
+        assert said[0] <= 100 * known + 1e-6
+        assert not unknown or said[-1] >= 100 * unknown - 1e-6
