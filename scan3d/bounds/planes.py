@@ -141,7 +141,7 @@ def _caps(corners: Array, planes: Planes, value: Array) -> Array:
     """
     hull = Corners(ConvexHull(corners, qhull_options="Qt Q12"))
     moved, plane, corner = np.zeros(len(value)), np.arange(len(value)), hull.highest(planes.normals)
-    before = np.empty(0, dtype=np.int64)
+    before = plane * len(hull.points) + corner
     above = dot(planes.normals, hull.points[corner]) - value
     while len(plane := plane[above > 0]):
         corner, above = corner[above > 0], above[above > 0]
@@ -155,8 +155,10 @@ def _caps(corners: Array, planes: Planes, value: Array) -> Array:
         np.maximum.at(moved, row, rows_of(planes, row).moved(np.concatenate([hull.points[corner], crossing])))
         # of the corners beyond those of this round and of the one before are known
         this = plane * len(hull.points) + corner
-        code = np.unique(plane[which[~crosses]] * len(hull.points) + other[~crosses])
-        code = code[~np.isin(code, np.concatenate([before, this]))]
+        code = np.sort(plane[which[~crosses]] * len(hull.points) + other[~crosses])
+        code = code[np.diff(code, prepend=-1) > 0]
+        for known in (before, this):
+            code = code[known[np.searchsorted(known, code) % len(known)] != code]
         before, (plane, corner) = this, np.divmod(code, len(hull.points))
         above = dot(planes.normals[plane], hull.points[corner]) - value[plane]
     return moved

@@ -504,15 +504,18 @@ def _covered(polygon: Array, areas: list[tuple[Array, Array]]) -> bool:
 def _clipped(polygon: Array, normal: Array, value: float) -> Array:
     """The part (w, 2) of a convex polygon (v, 2) with ``<normal, p> <= value``."""
     depth = value - polygon @ normal
-    if not len(polygon) or (depth >= 0).all():
+    inside = depth >= 0
+    if inside.all():
         return polygon
-    following, its_depth = np.roll(polygon, -1, axis=0), np.roll(depth, -1)
-    crosses = (depth >= 0) != (its_depth >= 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = polygon + (depth / (depth - its_depth))[:, None] * (following - polygon)
+    following = np.arange(1, len(polygon) + 1) % len(polygon)
+    begin = np.flatnonzero(inside != inside[following])
+    end = following[begin]
+    part = depth[begin] / (depth[begin] - depth[end])
+    crossing = polygon[begin] + part[:, None] * (polygon[end] - polygon[begin])
     # each corner is followed by the crossing of the side that begins there
-    candidates = np.stack([polygon, crossing], axis=1).reshape(-1, 2)
-    return candidates[np.stack([depth >= 0, crosses], axis=1).ravel()]
+    order = np.argsort(np.concatenate([np.flatnonzero(inside), begin + 0.5]))
+    corners: Array = np.concatenate([polygon[inside], crossing])[order]
+    return corners
 
 
 def _area(polygon: Array) -> float:
