@@ -220,7 +220,7 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
 # Residual of a root, in rod lengths or radians, and Newton steps within which it is found.
 _FOLLOWED, _STEPS = 1e-11, 20
 # Rounds at most in which the direction of friction is found, and the change of its angle in radians that ends them.
-_TURNS, _SETTLED = 20, 1e-4
+_TURNS, _SETTLED = 40, 1e-5
 # Rows on each side by which slip is told, of which the best are taken.
 _WINDOWS = (1, 2, 4, 8, 16)
 
