@@ -148,6 +148,9 @@ class Live:
         """The contacts so far."""
         self._begin_zero()
 
+    def __repr__(self) -> str:
+        return f"Live: {self.state}, {len(self.contacts)} contacts as they came"
+
     def tare(self) -> None:
         """Find the zero again, in as many rows that follow as `air_rows`, or 100; the rod must hang free.
 

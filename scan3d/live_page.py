@@ -84,7 +84,7 @@ class LivePage:
         data["layers"].append(strips("rod", [rod], center, parts.ROD, 3.0) | {"on": True})
         reach = np.linalg.norm(np.concatenate([scene.points, rod]) - center, axis=1)
         words = "contact" if len(contacts) == 1 else "contacts"
-        data |= {"radius": float(reach.max()), "live": f"{self._live.state}, {len(contacts)} {words}"}
+        data |= {"radius": float(reach.max()), "live": f"{self._live.state}, {len(contacts)} {words} as they came"}
         return page_of(scene, data) if path == "/" else as_json(data).encode()
 
 

@@ -546,7 +546,7 @@ def _of_surface(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "unresolved", f"{lost} probings left out, whose end slips off; a smaller --stop-force leaves fewer"
         if hidden := counts["hidden_second_contacts"]:
             known = "farther from the true body than their errors explain: a second contact stayed hidden, or errors are larger"
-            yield "hidden", f"{hidden} contacts are {known} than stated"
+            yield "hidden", f"{_count(hidden, 'contact')} {'is' if hidden == 1 else 'are'} {known} than stated"
     if (off := counts.get("off_surface")) and surface["method"] == "cut":
         found, more = ("touches", "more touches") if data.get("model") == "touches" else ("contacts", "more slices")
         of_all = f"{off} of {counts['contacts']} {found} are farther from the surface than {found} are apart"

@@ -112,6 +112,12 @@ def gaps(values: Array, air: Mask, pose: Array) -> list[Gap]:
     return found
 
 
+def silent(values: Array, air: Mask) -> Index:
+    """The channels that hold one value in all rows of a log (n, c) whose other channels have noise in the air (n,)."""
+    varying = (values != values[:1]).any(axis=0)
+    return np.flatnonzero(~varying) if _noisy(values[:, varying], air, 0) else np.empty(0, dtype=np.intp)
+
+
 def of_all(found: Iterable[Gap], count: int) -> Mask:
     """(n,) the rows in which anything was not measured."""
     rows = np.zeros(count, dtype=bool)

@@ -14,7 +14,7 @@ from scan3d.laboratory.importing import convert
 from scan3d.laboratory.maps import read_map
 from scan3d.laboratory.one_sweep import OneSweep, reconstruct_sweep
 from scan3d.pipeline import analyse
-from scan3d.unmeasured import gaps, held_poses, jumps_of, of_all, parts, steps_of
+from scan3d.unmeasured import gaps, held_poses, jumps_of, of_all, parts, silent, steps_of
 from tests.raw_tables import si_map
 from tests.robustness.bounds import false_statements
 
@@ -60,6 +60,24 @@ def test_logs_without_noise_have_nothing_that_stopped():
     shown, air = values(0.3, 1e-9)
     shown[air & (np.arange(len(shown)) // 50 % 2 == 0)] = 0
     assert not any(gap.every for gap in gaps(shown, air, moving(len(shown))))
+
+
+@pytest.mark.parametrize("channel", [0, 2, 4])
+def test_a_dead_channel_of_a_log_with_noise_is_named(log, channel):
+    _, log = log
+    rows, name = rows_of(log), NAMES[8 + channel]
+    dead = rows.wrench.copy()
+    dead[:, channel] = 0.3 * (channel == 2)
+    (_, right), (_, notes) = imported(log, rows), imported(log, rows._replace(wrench=dead))
+    assert not any("in all rows" in note for note in right)
+    assert sum(note.startswith(f"{name} is ") and "in all rows" in note for note in notes) == 1
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.3, [1]), (0.0, [])])
+def test_of_a_log_without_noise_no_channel_is_called_dead(noise, told):
+    shown, air = values(noise, 1e-12)
+    shown[:, 1] = 0.0
+    assert silent(shown, air).tolist() == told
 
 
 @pytest.mark.parametrize(("step", "rate"), [(1e-9, 5.0), (0.05, 5.0), (1e-9, 30.0), (0.2, 1.7), (1e-9, 1.01)])

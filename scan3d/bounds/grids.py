@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import AT_ONCE, Array, Index, Mask
 from scan3d.geometry.distance import poly_data
+from scan3d.spatial.bodies import diameter
 
 EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
 # Cubes around the places.
@@ -63,12 +64,11 @@ class Grid:
             if len(places) < 8:
                 continue
             places = self.origin + self.step * (places + [part.start for part in around])
-            extent = float(np.linalg.norm(np.ptp(places, axis=0) + self.step))
             found.append(
                 {
                     "center": places.mean(axis=0).tolist(),
                     "volume": len(places) * self.step**3,
-                    "extent": extent,
+                    "extent": diameter(places) + self.step,
                 }
             )
         return sorted(found, key=lambda patch: -patch["volume"])

@@ -458,7 +458,8 @@ def export(
         if what == "cloud" or faces is not None or error is not None:
             raise UsageError("--section is of the whole surface; leave --what, --faces and --error out")
         written = export_section(source, to, section, unit=unit, overwrite=overwrite)
-        text = f"{written['curves']} curves with {written['points']} points in {written['unit']}, written to {written['file']}"
+        curves = "1 curve" if written["curves"] == 1 else f"{written['curves']} curves"
+        text = f"{curves} with {written['points']} points in {written['unit']}, written to {written['file']}"
         return print_result(output, written, printable(text))
     if faces is not None and error is not None:
         raise UsageError("--faces and --error are two ways to say how far; leave one of them out")

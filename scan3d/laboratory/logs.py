@@ -26,7 +26,7 @@ from scan3d.laboratory.signals import roughly_air
 from scan3d.poses import MOVES, Move, measures
 from scan3d.recording import CHANNELS
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
-from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentence
+from scan3d.unmeasured import Held, gaps, held_poses, of_all, sentence, silent
 
 if TYPE_CHECKING:
     from scan3d.laboratory.maps import Map, Orientation, Reference
@@ -192,11 +192,17 @@ def _unmeasured(shown: _Shown, wrench: Array, pose: Array, time: Array | None) -
     rows, repeated = np.zeros((2, len(pose)), dtype=bool)
     if not len(known):
         return rows, repeated, ()
-    found = gaps(shown.values[known], roughly_air(wrench[known]), pose[known])
+    values, air = shown.values[known], roughly_air(wrench[known])
+    found = gaps(values, air, pose[known])
     rows[known] = of_all((gap for gap in found if not gap.every), len(known))
     repeated[known] = of_all((gap for gap in found if gap.every), len(known))
     at = (lambda k: f"row {known[k] + 1}") if time is None else (lambda k: f"{time[known[k]]:.1f} s")
-    return rows, repeated, tuple(sentence(gap, len(known), shown.words, shown.names, at) for gap in found)
+    dead = tuple(
+        f"{shown.names[k]} is {shown.words(int(k), float(values[0, k]))} in all rows, where other channels have noise: if it "
+        "was measured, the sensor is dead or too coarse there; if not, name no column for it in the map"
+        for k in silent(values, air)
+    )
+    return rows, repeated, dead + tuple(sentence(gap, len(known), shown.words, shown.names, at) for gap in found)
 
 
 def _of_poses(held: Held, time: Array | None) -> tuple[str, ...]:

@@ -446,10 +446,14 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
         allowed += rig.factor(FALSE_ALARM) * float(rig.place_sd.max())
     if lost <= DISTURBED and error <= allowed:
         return []
-    size = f"contacts are off by up to {length(error, cloud.unit)}" if len(here) else "all of its contacts are lost"
+    size = (
+        f"contacts lie up to {length(error, cloud.unit)} from those"
+        if len(here)
+        else "none of its contacts is one of those"
+    )
     text = (
-        f"a recording with six axes is read by the planar model, though {share(fraction)} of the force lies out of the "
-        f"slices' planes: {size} compared with the spatial model, and {share(lost)} of them are missing"
+        f"a recording with six axes is read by the planar model, and {size} of the spatial model, of which {share(lost)} are "
+        f"missing; {share(fraction)} of the force lies out of the slices' planes"
     )
     return [Contradiction("out-of-plane", text, fraction)]
 

@@ -63,17 +63,17 @@ _FACTORS: dict[str, tuple[tuple[float, ...], str]] = {
     "wrench-unit": ((1e-3,) * 6, "the forces are in mN, not in N, and the {moments} in mN m, not in N m"),
     "moment-unit": ((1, 1, 1, 1e-3, 1e-3, 1e-3), "the {moments} in N mm, not in N m"),
 }
-# Gains: the channels that are recorded too large by one unknown factor; the moment about the rod vanishes.
-_CHECK = " are recorded {0} times too large: check the sensor's gains"
+# Gains: the channels that are recorded at one unknown part of their size; the moment about the rod vanishes.
+_CHECK = "recorded at {0} times %s size: check the sensor's gains"
 _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
     "stiffness": (
         (0, 1, 2, 3, 4, 5),
-        "the rod is {0} times as stiff as stated, or force and moment are recorded {0} times too large (both have the same "
+        "the rod is {0} times as stiff as stated, or force and moment are recorded at {0} times their size (both have the same "
         "effect): calibrate the stiffness",
     ),
-    "moment-scale": ((3, 4, 5), f"the moments{_CHECK}"),
-    "force-scale": ((0, 1, 2), f"the forces{_CHECK}"),
-    **{f"{CHANNELS[k]}-scale": ((k,), CHANNELS[k] + _CHECK.replace("are", "is")) for k in (0, 1, 2, 3, 5)},
+    "moment-scale": ((3, 4, 5), f"the moments are {_CHECK % 'their'}"),
+    "force-scale": ((0, 1, 2), f"the forces are {_CHECK % 'their'}"),
+    **{f"{CHANNELS[k]}-scale": ((k,), f"{CHANNELS[k]} is {_CHECK % 'its'}") for k in (0, 1, 2, 3, 5)},
 }
 # Largest logarithm of a scale: larger ones make rods so long or forces so large that noise and rounding hide any misfit.
 _LARGEST_SCALE = 1.4

@@ -67,6 +67,11 @@ def sphere_directions(count: int = 2000) -> Array:
     return np.stack([across * np.cos(angle), across * np.sin(angle), z])
 
 
+def diameter(points: Array) -> float:
+    """The largest distance between points (n, 3), found in many directions: at most 1 % too small."""
+    return float(np.ptp(points @ sphere_directions(500), axis=0).max())
+
+
 class Patch(NamedTuple):
     """The surface at n places: point, outward normal, and their derivatives by two local coordinates, each (3, n)."""
 

@@ -31,7 +31,7 @@ from scan3d.poses import AWAY
 from scan3d.reconstruction.contacts import into_body, with_rows
 from scan3d.reconstruction.touches import oriented
 from scan3d.recording import Recording, of_rows
-from scan3d.spatial.bodies import sphere_directions
+from scan3d.spatial.bodies import diameter, sphere_directions
 from scan3d.surfaces.cut import ESTIMATED, KNOWN, UNKNOWN, Cut, cut_surface
 from scan3d.units import length
 
@@ -179,7 +179,7 @@ def _coverage(surface: Any) -> dict[str, Any]:
                 "center": (weight @ vertices[of_patch] / weight.sum()).tolist(),
                 "area": float(weight.sum()),
                 # that of a single vertex is what a third of the faces around it has
-                "extent": float(np.linalg.norm(np.ptp(vertices[of_patch], axis=0)) or np.sqrt(weight.sum())),
+                "extent": diameter(vertices[of_patch]) or float(np.sqrt(weight.sum())),
             }
         )
     return {
