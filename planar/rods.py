@@ -35,7 +35,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
@@ -244,12 +244,12 @@ class Marched(NamedTuple):
 def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
     """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
 
-    def marched(rows: Index | slice, steps: int) -> Marched:
+    def marched(rows: Index | slice, steps: Steps) -> Marched:
         return _contacts(rod.rows(rows), force[:, rows], moment[rows], steps)
 
     steps, found = enough_steps(marched, np.hypot(*force) + np.abs(moment), places=slice(3))
     if len(moment) <= TRIED:
-        return found
+        return Marched(*found)
     parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, len(moment), _BLOCK)]
     return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -270,53 +270,69 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
 
 
 GIVES = "the clamp gives so much under the rod's weight that no rest is found: state a smaller compliance or weight"
-Found = TypeVar("Found", bound=tuple[Any, ...])
+Steps = int | Index
+"""Steps along rods: one number, or those of rows (n,)."""
 
 
 def enough_steps(
-    march: Callable[[Index, int], Found],
+    march: Callable[[Index, Steps], tuple[Array, ...]],
     size: Array,
     places: slice = slice(None),
     steps: int = STEPS,
-) -> tuple[int, Found]:
+) -> tuple[int, tuple[Array, ...]]:
     """The number of steps, at least so many, by which places are right to `PLACES`, and what is marched by it.
 
     `march` gives columns for some rows by a number of steps, of which `places` are compared.  The rows are all up to `TRIED` of
     them, or so many of all sizes (n,).  From `STEPS` on the errors of the finer of two runs are smaller by the eighth power.
     """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
+    if not len(order):
+        return steps, march(order, steps)
     # some rows of all sizes tell how many steps are enough
-    rows = np.sort(
-        order[np.unique(np.linspace(0, max(len(order) - 1, 0), TRIED).astype(np.intp))] if len(order) else order
-    )
-    last = march(rows, steps)
-    while steps < 256:
-        more = max(round(1.5 * steps), steps + 1)
-        finer = march(rows, more)
+    rows = np.sort(order[np.unique(np.linspace(0, len(order) - 1, TRIED).astype(np.intp))])
+    more = round(1.5 * steps)
+    # both at once take little longer than one of them
+    both = march(np.append(rows, rows), np.repeat([steps, more], len(rows)))
+    last, finer = zip(*(np.split(column, 2, axis=-1) for column in both), strict=True)
+    while True:
         before, after = (np.concatenate([np.atleast_2d(column) for column in found[places]]) for found in (last, finer))
         change = np.where(np.isnan(before) & np.isnan(after), 0.0, np.abs(after - before))
         if (change <= PLACES).all():
             break
         close = steps >= STEPS and (change <= PLACES * ((more / steps) ** 8 - 1)).all()
         steps, last = more, finer
-        if close:
+        if close or steps >= 256:
             break
+        more = round(1.5 * steps)
+        finer = march(rows, more)
     return steps, last
 
 
-@lru_cache(maxsize=64)
-def grid(profile: Profile, steps: int) -> Array:
-    """Ends of the steps along a rod, its knots among them: between two knots steps are as long as the rod is thick.
+def grid(profile: Profile, steps: Steps, end: float = 1.0) -> Array:
+    """Ends (p,) of the steps along a rod, its knots among them: between two knots steps are as long as the rod is thick.
 
     A short piece has as many times more as there are `steps` in place of `COARSE`: what two runs differ by is the error of all.
+    Past the tip, up to an `end`, there are as many again.  Of different numbers for rows (n,) they are (p, n), and those of
+    the rows with fewer steps end with some of no length.
     """
+    if isinstance(steps, int):
+        return _grid(profile, steps, end)
+    numbers, which = np.unique(steps, return_inverse=True)
+    every = [_grid(profile, int(number), end) for number in numbers]
+    longest = max(map(len, every))
+    return np.stack([np.pad(one, (0, longest - len(one)), "edge") for one in every], axis=1)[:, which]
+
+
+@lru_cache(maxsize=64)
+def _grid(profile: Profile, steps: int, rod_end: float) -> Array:
     pieces = []
     for (start, first), (end, last) in pairwise(zip(profile.knots, profile.diameters, strict=True)):
         count = round(np.ceil(steps / COARSE * np.ceil(COARSE * (end - start))))
         part = np.arange(count) / count
         taper = last / first - 1
         pieces.append(start + (end - start) * (np.expm1(np.log1p(taper) * part) / taper if taper else part))
-    return np.append(np.concatenate(pieces), 1.0)
+    past = np.linspace(1.0, rod_end, steps + 1)[1:] if rod_end > 1 else np.empty(0)
+    return np.concatenate([*pieces, [1.0], past])
 
 
 def crossings(
@@ -325,16 +341,18 @@ def crossings(
     """Where a value (n,) of marched states (k, n) first falls through zero: the rows (m,), their states (k, m) before the
     step in which it does, and its begin, its length, and the values at both ends of it (4, m).
 
-    Rows whose value ends to be a number are given up.
+    The steps have `ends` (p,), or (p, n).  Rows whose value ends to be a number are given up.
     """
     rows, low, falling = np.arange(state.shape[1]), value(ends[0], state), []
-    for at, end in pairwise(ends.tolist()):
+    for at, end in pairwise(ends):
+        if ends.ndim > 1:
+            at, end = at[rows], end[rows]
         after = step(state, at, end - at)
         high = value(end, after)
         here = (low > 0) & (high <= 0)
         if here.any():
-            span = np.broadcast_to([[at], [end - at]], (2, int(here.sum())))
-            falling.append((rows[here], state[:, here], np.concatenate([span, [low[here], high[here]]])))
+            span = np.stack(np.broadcast_arrays(at, end - at, low, high))
+            falling.append((rows[here], state[:, here], span[:, here]))
         rest = ~here & np.isfinite(high)
         if not rest.all():
             rows, after, high = rows[rest], after[:, rest], high[rest]
@@ -346,11 +364,11 @@ def crossings(
     return tuple(np.concatenate(columns, axis=-1) for columns in zip(*falling, strict=True))  # type: ignore[return-value]
 
 
-def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
+def _contacts(rod: Rod, force: Array, moment: Array, steps: Steps) -> Marched:
     """`contacts` by a given number of steps; force (2, n)."""
     hangs = overhang(rod)
     # past the tip the rod goes on for half its length, with the stiffness there and without weight
-    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, 1.5, steps + 1)[1:])
+    ends = grid(rod.profile, steps, 1.5)
     with np.errstate(all="ignore"):
         state = started(rod, np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
         unknown = np.full((4, len(moment)), np.nan)
@@ -388,7 +406,7 @@ def drawn(
     is given by its two ends if it `goes_straight`, else by as many points.
     """
 
-    def touched(rows: Index, steps: int) -> tuple[Array]:
+    def touched(rows: Index, steps: Steps) -> tuple[Array]:
         ends = grid(profile, steps)
         return (sampled(step, ends, state[:, rows], np.zeros(len(rows)), s1[None, rows])[place, 0],)
 
@@ -405,9 +423,9 @@ def sampled(
     step: Callable[[Array, Array, Array], Array], ends: Array, state: Array, begin: Array, places: Array
 ) -> Array:
     """States (k, p, n) at arc lengths `places` (p, n) of rods that are marched from states (k, n) at arc lengths `begin`
-    (n,), in steps between `ends`; NaN outside of these."""
+    (n,), in steps between `ends` (e,) or (e, n); NaN outside of these."""
     found = np.full((len(state), *places.shape), np.nan)
-    for start, end in pairwise(ends.tolist()):
+    for start, end in pairwise(ends):
         at = np.clip(begin, start, end)
         which, row = np.nonzero((places >= at) & (places <= end))
         found[:, which, row] = step(state[:, row], at[row], places[which, row] - at[row])

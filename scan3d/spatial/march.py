@@ -30,6 +30,7 @@ from planar.rods import (
     STEPS,
     TRIED,
     Profile,
+    Steps,
     along,
     crossings,
     drawn,
@@ -104,13 +105,13 @@ def contacts(
     """
     start, contact_force = _clamped(rod, force, moment, gravity)
 
-    def marched(rows: Index | slice, steps: int) -> Marched:
+    def marched(rows: Index | slice, steps: Steps) -> Marched:
         return _contacts(rod, start[:, rows], contact_force[:, rows], steps)
 
     if steps is None:
         steps, found = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(1, 2))
         if force.shape[1] <= TRIED:
-            return found
+            return Marched(*found)
     parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
@@ -133,17 +134,17 @@ def ends(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = N
     """
     start, _ = _clamped(rod, force, moment, gravity)
 
-    def marched(rows: Index | slice, steps: int) -> Ends:
+    def marched(rows: Index | slice, steps: Steps) -> tuple[Array, Array]:
         state = start[:, rows]
         with np.errstate(all="ignore"):  # reactions of no rod overflow
-            for at, end in pairwise(grid(rod.profile, steps).tolist()):
+            for at, end in pairwise(grid(rod.profile, steps)):
                 state = _step(rod, state, at, end - at)
-            return Ends(state[_R], _rotated(state[_Q], state[_M]), steps)
+            return state[_R], _rotated(state[_Q], state[_M])
 
     if steps is None:
         # rods that are touched at their ends may be bent so little that one step is enough, if they are of one piece
         least = 1 if len(rod.profile.knots) == 2 else COARSE
-        steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), places=slice(2), steps=least)
+        steps, _ = enough_steps(marched, np.abs(start[:6]).sum(axis=0), steps=least)
     parts = [marched(slice(first, first + _BLOCK), steps) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     point, moment = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     return Ends(point, moment, steps)
@@ -214,12 +215,12 @@ def _rotated(quaternion: Array, vector: Array) -> Array:
     return np.asarray(vector + (w * twice + cross(axis, twice)) / (quaternion * quaternion).sum(axis=0))
 
 
-def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
+def _contacts(rod: SpatialRod, start: Array, force: Array, steps: Steps) -> Marched:
     unknown, hangs = np.full((9, start.shape[1]), np.nan), _overhang(rod)
     found = Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
     # past the tip the rod goes on with the stiffness there and without weight
     # contacts past the tip are sought up to twice the rod's length
-    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, 2.0, steps + 1)[1:])
+    ends = grid(rod.profile, steps, 2.0)
     with np.errstate(all="ignore"):
         falling = crossings(
             ends,
