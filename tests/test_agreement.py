@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import MESHES
+from scipy.spatial.transform import Rotation
 from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed
 
@@ -126,6 +127,27 @@ def test_six_axes_read_as_planar_say_how_wrong_that_is(right, undiagnosed):
     force, _ = right.wrench()
     felt = np.linalg.norm(force, axis=1) > 0
     assert warning.value == pytest.approx(np.median(np.abs(force[felt, 2]) / np.linalg.norm(force[felt], axis=1)))
+
+
+@pytest.mark.parametrize("channel", range(6))
+def test_a_dead_channel_of_a_turned_sensor_is_named(right, channel, undiagnosed):
+    force, moment = right.wrench()
+    sd = 1e-4 * np.abs(force).max(), 1e-4 * np.abs(moment).max()
+    draw = np.random.default_rng(channel).standard_normal((2, *force.shape))
+    noisy = replace(changed(right, lambda f, m: (f + sd[0] * draw[0], m + sd[1] * draw[1])),
+                    noise_force_N=sd[0], noise_moment_Nm=sd[1])  # fmt: skip
+    turn, at = Rotation.from_euler("xyz", [0.2, 0.5, -0.3]).as_matrix(), np.array([0.01, -0.02, 0.0])
+
+    def dead(force, moment):
+        shown = np.hstack([force, moment - np.cross(at, force)]) @ np.kron(np.eye(2), turn)
+        shown[:, channel] = 0
+        force, moment = np.hsplit(shown @ np.kron(np.eye(2), turn.T), 2)
+        return force, moment + np.cross(at, force)
+
+    cloud = scan3d.reconstruct(noisy)
+    codes = [[one.code for one in checked(part, cloud).contradictions] for part in (noisy, changed(noisy, dead))]
+    assert "dead-channel" not in codes[0]
+    assert "dead-channel" in codes[1]
 
 
 @pytest.mark.parametrize("digits", [4, 6])

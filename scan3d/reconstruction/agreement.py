@@ -89,6 +89,8 @@ OFF_LINE = 0.05
 """Part of its way by which a robot's sweep may leave the line along -x of the clamp."""
 FALSE_ALARM = 1e-5
 """Probability that noise makes a correct recording exceed the allowed distances."""
+# Rows, at least, whose channels may have a sum that is zero, and what of their size is rounding.
+_FEWEST, _ZERO = 20, 1e-12
 COMPARED = math.isqrt(AT_ONCE)
 """Contacts, tangents, and contacts of the hull that are compared at most, each with each."""
 
@@ -108,6 +110,7 @@ _CAUSES = {
     "out-of-plane": ("planar-model", "", "the model is wrong: choose the spatial model"),
     BELOW_TABLE: ("table", "", "the table is wrong: {}"),
     "held-poses": ("held-poses", "rows", "the poses are held: {}"),
+    "dead-channel": ("dead-channel", "", "the sensor is wrong: {}"),
 }
 
 
@@ -124,7 +127,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     missing = cloud.unmeasured
     recording, cloud = as_measured(recording, cloud)
-    alone, diagnosis = _held(missing) + below_table(cloud), None
+    alone, diagnosis = _held(missing) + _dead(recording) + below_table(cloud), None
     if recording.in_probings.any():  # though none of them may have touched
         if cloud.probed is not None and cloud.probed.all():
             return Checked(alone, None)
@@ -189,6 +192,22 @@ def _held(missing: Unmeasured | None) -> list[Contradiction]:
     if missing is None or not missing.poses:
         return []
     return [Contradiction("held-poses", missing.words[-1], float(len(missing.rows)))]
+
+
+def _dead(recording: Recording) -> list[Contradiction]:
+    """Whether a channel of a sensor that stands turned is dead: a sum of several channels then is zero, noise included."""
+    if not (recording.six_axis and min(recording.noise_force_N, recording.noise_moment_Nm)) or recording.completed:
+        return []
+    wrench = np.hstack(recording.wrench())
+    wrench = wrench[:, (wrench != wrench[0]).any(axis=0)]
+    size = np.linalg.svd(wrench / np.sqrt((wrench**2).mean(axis=0)), compute_uv=False)
+    if len(wrench) < _FEWEST or size[-1] > _ZERO * size[0]:
+        return []
+    text = (
+        "a sum of several channels, each with its factor, is zero in all rows to the last digit, though all of them have "
+        "noise: a channel of the sensor, which stands turned or moved, is dead or was not measured"
+    )
+    return [Contradiction("dead-channel", text, float(size[-1] / size[0]))]
 
 
 def _without_contact(fraction: float) -> list[Contradiction]:
@@ -340,7 +359,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     place, turn = np.zeros(len(cloud)), np.zeros(len(cloud))
     if known.error is not None and cloud.place_sd is not None:
         place, turn = sigmas * cloud.place_sd, sigmas * known.error.tangent[rows]
-    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), COMPARED)
+    lines = evenly(np.flatnonzero((cloud.phase == planar.Phase.TANGENTIAL) & np.isfinite(turn)), COMPARED)
     # what depths show beyond that is allowed for in the bounds, but is no excuse
     by_poses = recording.noise.place_m * cloud.rod_length / recording.rod.length_m
     found += _not_convex(replace(cloud, pose_error=by_poses), (place, turn), lines)

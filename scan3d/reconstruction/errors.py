@@ -454,16 +454,17 @@ def depths_in_hull(
     for rows, is_line in ((some, False), (lines, True)):
         for part in np.array_split(rows, 1 + len(rows) * len(hull.equations) // AT_ONCE):
             below = -centred[part] @ outward.T - hull.equations[:, 3]
-            arm = np.zeros(len(part))
+            turned = np.zeros(len(part))
             if is_line:
                 slope = tangents[part] @ outward.T
                 arm = _middle_of_lines(below, slope)
                 below -= arm[:, None] * slope
+                turned = turn[part] * np.abs(arm)
             facet = below.argmin(axis=1)
             n = outward[facet]
             own = place[part] + np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", n, squares[part], n), 0.0))
             deep, curved = below[np.arange(len(part)), facet], largest[part] + farthest[facet]
-            parts.append(np.stack([deep, own + reach[facet], turn[part] * np.abs(arm), curved]))
+            parts.append(np.stack([deep, own + reach[facet], turned, curved]))
     found, both, turned, curved = np.concatenate(parts, axis=1)
     # the last summand is of the second order
     return Misfit(found, ROUNDING * length + both + turned + curved**2 / length)
