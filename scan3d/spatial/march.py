@@ -327,30 +327,38 @@ def _harmonics(direction: Array, degree: int) -> Array:
     return np.concatenate(parts)
 
 
+@lru_cache
+def _products() -> tuple[Array, Array]:
+    """(13, 39) rates of the state's first rows by their products with the curvatures, and (3, 16) of the place by those of
+    the quaternion."""
+    turned, moved = np.zeros((13, 13, 3)), np.zeros((3, 4, 4))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        for first in (0, 3, 6):  # v × u
+            turned[first + i, first + j, k], turned[first + i, first + k, j] = 1.0, -1.0
+        turned[10 + i, 10 + j, k], turned[10 + i, 10 + k, j] = 0.5, -0.5
+        turned[9, 10 + i, i], turned[10 + i, 9, i] = -0.5, 0.5
+    moved[0, 1, 3], moved[0, 0, 2], moved[1, 2, 3], moved[1, 0, 1] = 2.0, 2.0, 2.0, -2.0
+    moved[2] = np.diag([1.0, -1.0, -1.0, 1.0])
+    return turned.reshape(13, 39), moved.reshape(3, 16)
+
+
 def _step(rod: SpatialRod, state: Array, s: Array | float, length: Array | float) -> Array:
     """States (16, n) one step past arc length `s`; `s` and `length` are numbers or (n,)."""
     stages, weights, nodes = tableau()
     stiffness, past = rod.profile.along(s, length, nodes)
-    heavy = rod.profile.weight > 0
-    k1, k2, k3 = rod.curvature
-    rates = np.zeros((16, len(nodes), state.shape[1]))
+    heavy, (turned, moved), count = rod.profile.weight > 0, _products(), state.shape[1]
+    each, curvature = np.array([[1.0], [1.0], [rod.torsion]]), np.array(rod.curvature)[:, None]
+    rates = np.empty((len(nodes), 16, count))
     now = state
     for i in range(len(nodes)):
         if i:
-            now = state + length * (stages[i, :i] @ rates[:, :i])
-        m1, m2, m3, n1, n2, n3, g1, g2, g3, w, x, y, z = now[:13]
-        b = stiffness[i]
-        u1, u2, u3 = m1 / b + k1, m2 / b + k2, m3 / (rod.torsion * b) + k3
-        f1, f2 = (n1 + past[i] * g1, n2 + past[i] * g2) if heavy else (n1, n2)
-        rate = rates[:, i]
-        rate[0], rate[1], rate[2] = m2 * u3 - m3 * u2 + f2, m3 * u1 - m1 * u3 - f1, m1 * u2 - m2 * u1
-        rate[3], rate[4], rate[5] = n2 * u3 - n3 * u2, n3 * u1 - n1 * u3, n1 * u2 - n2 * u1
+            now = state + length * (stages[i, :i] @ rates[:i].reshape(i, -1)).reshape(16, count)
+        bend = now[_M] / (each * stiffness[i]) + curvature
+        rate, across = rates[i], now[3:5]
+        np.matmul(turned, (now[:13, None] * bend).reshape(39, count), out=rate[:13])
+        np.matmul(moved, (now[_Q, None] * now[_Q]).reshape(16, count), out=rate[_R])
         if heavy:
-            rate[6], rate[7], rate[8] = g2 * u3 - g3 * u2, g3 * u1 - g1 * u3, g1 * u2 - g2 * u1
-        rate[9] = -(x * u1 + y * u2 + z * u3) / 2
-        rate[10] = (w * u1 + y * u3 - z * u2) / 2
-        rate[11] = (w * u2 + z * u1 - x * u3) / 2
-        rate[12] = (w * u3 + x * u2 - y * u1) / 2
-        rate[13], rate[14] = 2 * (x * z + w * y), 2 * (y * z - w * x)
-        rate[15] = w * w - x * x - y * y + z * z
-    return np.asarray(state + length * (weights @ rates))
+            across = across + past[i] * now[6:8]
+        rate[0] += across[1]
+        rate[1] -= across[0]
+    return np.asarray(state + length * (weights @ rates.reshape(len(nodes), -1)).reshape(16, count))
