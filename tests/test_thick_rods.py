@@ -12,7 +12,7 @@ import planar
 import scan3d
 from planar.segments import tangential
 from scan3d import Rod
-from scan3d.bounds.enclosures import _thinner, enclosure, shell, sticking_out
+from scan3d.bounds.enclosures import _thinner, _volumes, enclosure, shell, sticking_out
 from scan3d.files.text import parse_rod
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame
@@ -190,3 +190,13 @@ def test_a_shell_has_the_volume_by_which_a_fattened_body_is_larger(unit):
     flat, round_edges = 2 * (20 * 16 + 20 * 12 + 16 * 12) * 0.3, np.pi * 0.3**2 * (20 + 16 + 12)
     exact = flat + round_edges + 4 / 3 * np.pi * 0.3**3
     assert shell(body, 0.3 * unit) == pytest.approx(exact * unit**3, rel=1e-12)
+
+
+def test_the_volume_of_a_ball_in_the_hull_of_the_fattened_one_is_known():
+    inner, outer = (trimesh.creation.icosphere(5, radius) for radius in (10.0, 12.0))
+    low, high = _volumes(inner, 0.0, outer.vertices, 2.0, unbounded=False)
+    assert low == pytest.approx(inner.volume)
+    assert high == pytest.approx(4 / 3 * np.pi * 1000, rel=5e-3)
+    smaller, larger = _volumes(inner, 0.5, outer.vertices, 2.0, unbounded=False)
+    assert smaller == pytest.approx(0.95**3 * low, rel=1e-3)
+    assert high < larger < 1.1 * high

@@ -58,7 +58,7 @@ from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import NoBodyError
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
+from scan3d.geometry.hulls import hull, offset_inwards, shrunk
 from scan3d.geometry.triangles import dot, face_normals
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
@@ -273,9 +273,7 @@ def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
     known = np.flatnonzero(np.isfinite(bounds.corners).all(axis=1))
     gap[known] = np.maximum(nearest(bounds.corners[known], inner)[0] + reach, 0.0)
     bound = max(float(gap.max(initial=0.0)), excess, bounds.margin)
-    least = shrunk(inner, excess) if excess else inner
-    low = 0.0 if least is None else float(least.volume) * (1 - ROUNDING)
-    around = 4 / 3 * np.pi * radius**3 if least is None else shell(least, radius) * (1 - ROUNDING)
+    low, around = _least(inner, excess, radius)
     high = bounds.volume[1] - around
     if tighter is not None:
         bound, low, high = min(bound, tighter.bound), max(low, tighter.volume[0]), min(high, tighter.volume[1])
@@ -608,16 +606,21 @@ def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
 
 
 def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:
-    """Bounds of the volume: that of the inner body, made smaller until it does not stick out, and that of the outer one.
-
-    By Steiner's formula the fattened body is larger than the body by more than the radius times the area of the inner body.
-    """
-    factor = max(shrunk_by(inner, excess)[1], 0.0)
-    lower = float(inner.volume) * factor**3
+    """Bounds of the volume: that of the inner body, made smaller until it does not stick out, and that of the outer one, which
+    is the body fattened by the radius."""
+    lower, around = _least(inner, excess, radius)
     if unbounded:
         return lower, np.inf
-    shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
-    return lower, max(float(ConvexHull(corners, qhull_options="Qt Q12").volume) - shell, lower)
+    return lower, max(float(ConvexHull(corners, qhull_options="Qt Q12").volume) - around, lower)
+
+
+def _least(inner: Any, excess: float, radius: float) -> tuple[float, float]:
+    """The least volumes of a body, out of which an inner one sticks by no more than an excess, and of what lies within a radius
+    of it: both are larger of larger convex bodies."""
+    least = shrunk(inner, excess) if excess else inner
+    if least is None:
+        return 0.0, 4 / 3 * np.pi * radius**3
+    return float(least.volume) * (1 - ROUNDING), shell(least, radius) * (1 - ROUNDING)
 
 
 def _bodies_by_arcs(cloud: Cloud, planes: Planes, margin: float) -> Iterator[tuple[Any, float]]:

@@ -470,21 +470,16 @@ def _mesh(points: Array, faces: Index) -> Any:
 
 
 def shrunk(body: Any, distance: float, least: float = 0.0) -> Any:
-    """A convex body scaled about a point of it, so that it lies in the body deeper than `distance`, or by a `least` factor
-    where it is too thin for that; None without one."""
-    centre, factor = shrunk_by(body, distance)
-    factor = max(factor, least)
-    return hull(centre + factor * (body.vertices.view(np.ndarray) - centre)) if factor > 0 else None
-
-
-def shrunk_by(body: Any, distance: float) -> tuple[Array, float]:
-    """The mean (3,) of a convex body's vertices, and the factor of `shrunk` by which the body is scaled about it.
+    """A convex body scaled about the mean of its vertices, so that it lies in the body deeper than `distance`, or by a `least`
+    factor where it is too thin for that; None without one.
 
     The support function about that point is at least its depth, and falls by the depth's part of itself.
     """
-    centre = body.vertices.view(np.ndarray).mean(axis=0)
+    vertices = body.vertices.view(np.ndarray)
+    centre = vertices.mean(axis=0)
     depth = -float(nearest(centre[None], body)[0][0])
-    return centre, 1 - distance / depth if depth > 0 else -np.inf
+    factor = max(1 - distance / depth if depth > 0 else -np.inf, least)
+    return hull(centre + factor * (vertices - centre)) if factor > 0 else None
 
 
 def offset_inwards(body: Any, distance: float) -> Any:

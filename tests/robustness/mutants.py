@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[2]
 TESTS = {
     "planar": "against_* any_rod branches* completed* contours fewer* inflections invariances loops paper_statements "
     "pieces* reconstruction second* several* single* sweeping uncertainty",
-    "scan3d/geometry": "arcs bodies cells comparison convexity distance hausdorff hollow hull* sections support",
-    "scan3d/bounds": "bounds bound_properties any_shape cells confidence reach spatial_bounds",
+    "scan3d/geometry": "arcs bead bodies comparison convexity distance hausdorff hollow hull* sections support",
+    "scan3d/bounds": "bead bounds bound_properties any_shape confidence reach spatial_bounds thick*",
     "scan3d/reconstruction": "reconstruction slices normals agreement diagnosis spatial_reconstruction",
 }
 """The tests that may notice a change in a folder, without `test_` and `.py`."""
