@@ -25,9 +25,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 TESTS = {
-    "planar": "against_* any_rod branches* completed* contours fewer* inflections invariances loops paper_statements "
-    "pieces* reconstruction second* several* single* sweeping uncertainty",
-    "scan3d/geometry": "arcs bead bodies comparison convexity distance hausdorff hollow hull* sections support",
+    "planar": "against_* any_rod branches* completed* contours fewer* following inflections invariances loops paper_statements "
+    "pieces* plots reconstruction second* several* single* sweeping uncertainty",
+    "scan3d/geometry": "arcs bead bodies comparison convexity distance hausdorff hollow hull* probing sections support",
     "scan3d/bounds": "bead bounds bound_properties any_shape confidence reach spatial_bounds thick*",
     "scan3d/reconstruction": "reconstruction slices normals agreement diagnosis spatial_reconstruction",
 }
