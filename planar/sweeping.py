@@ -185,8 +185,8 @@ def sweep(
         contour beside its contact, or a curved one without any, are unresolved.  Convex contours only.
 
     On a contour that is not convex the rod is followed from sample to sample with all of its contacts; the sweep begins where
-    the straight rod first touches, whatever the first base position is.  `status` has a sentence for each sample, also for rods
-    whose equilibrium was not found.
+    the straight rod first touches, whatever the first base position is.  `status` says of each sample what it
+    is, also of rods whose equilibrium was not found; `SweepStatus` has the sentences.
 
     Raises ValueError for friction, base or samples out of their range and for a contour outside the rod's reach.
     Source: the equilibria (3) with (5)-(7) of the paper, in closed form.

@@ -75,7 +75,7 @@ class Batch:
         """The rows of the best, the median and the worst run by the Hausdorff distance relative to the diagonal."""
         known = [row for row in self.rows if row["status"] == DONE and row["hausdorff_relative"] is not None]
         known.sort(key=lambda row: float(row["hausdorff_relative"]))
-        return Ranks(known[0], known[(len(known) - 1) // 2], known[-1]) if known else Ranks(None, None, None)
+        return Ranks(known[0], known[len(known) // 2], known[-1]) if known else Ranks(None, None, None)
 
     @property
     def failures(self) -> list[Row]:
@@ -95,7 +95,7 @@ class Batch:
 class Ranks(NamedTuple):
     """Rows of the best, the median and the worst of the runs that are done; None if none is.
 
-    Of an even number of runs the better one of the two in the middle counts as the median.
+    Of an even number of runs the worse one of the two in the middle counts as the median.
     """
 
     best: Row | None

@@ -522,14 +522,15 @@ def batch(
         return print_settings(dataclasses.asdict(options.chosen()))
     from scan3d.batches import batch as scan_batch
     from scan3d.batches import scheduled
-    from scan3d.workers import Workers
+    from scan3d.workers import Workers, said_if_ended
 
     def show(now: Any) -> None:
         failed = f", {now.failed} failed" if now.failed else ""
         output.progress.tell(f"runs{failed}", now.done, now.total)
 
     start = time.monotonic()
-    with scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
+    kept = f"finished runs are kept in {out}: the same command goes on with the others"
+    with said_if_ended(kept), scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
         done = scan_batch(
             mesh,
             out,

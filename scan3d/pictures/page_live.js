@@ -3,7 +3,7 @@ async function follow() {
   const said = panel.querySelector(".headline"), first = data.layers.find(layer => layer.scale);
   let text;
   try { text = await (await fetch("data")).text(); }
-  catch { said.textContent += ": the program that served this page has ended"; return; }
+  catch { said.textContent = said.textContent.replace(/^\w+, /, "") + ": the program that served this page has ended"; return; }
   const fresh = parsed(text);
   data.radius = Math.max(data.radius, fresh.radius);
   for (const now of fresh.layers) {

@@ -10,6 +10,7 @@ function preparePlayer() {
   player.width = player.reactions.length / n;
   player.contactOf = new Int32Array(n).fill(-1);
   player.contact.forEach((k, contact) => { player.contactOf[k] = contact; });
+  player.moves = contacts.columns.slice?.some(k => k < 0) ? " sweeps and probings" : "";
   player.names = player.labels.flatMap(({title, names}) => names.map(name => [name, title.split(" in ")[1]]));
   Object.assign(player, {on: false, playing: false, time: 0, stale: true, lines: [], trace: null});
   byId("sweep").max = player.numbers.length - 1;
@@ -188,7 +189,7 @@ function describe(k, sweep, rod) {
   const what = contact < 0 ? "no contact" : kind ? kind + " contact" : "contact";
   const value = ([name, unit], i) => `${name} = ${number(player.reactions[player.width * k + i])} ${unit}`;
   const values = player.names.map(value).map(text => text.replaceAll(" ", "\u00a0")).join(", ");
-  now.textContent = `sweep ${player.numbers[sweep]} (no. ${sweep + 1} of ${player.numbers.length} with contact)${slice}, `
+  now.textContent = `sweep ${player.numbers[sweep]} (no. ${sweep + 1} of ${player.numbers.length}${player.moves} with contact)${slice}, `
     + `sample ${k - player.starts[sweep] + 1} of ${player.ends[sweep] - player.starts[sweep]}: ${what}`
     + `${rod.touches ? ` at ${number(rod.s1)} of the rod's length` : ""}; ${values}`;
   curves.setAttribute("aria-label", `reactions over the travel of the clamp; ${values}`);

@@ -126,8 +126,8 @@ def _surface(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
 def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     if scene.truth is None:
         raise InputError(
-            f"the view compare needs the true body of {scene.name}, which is unknown or not found here as it was scanned: "
-            "give --truth MESH (in Python truth=)"
+            f"the view compare needs the true body of {scene.name}, which is unknown, or was not found as it was scanned in "
+            "this folder and those in it: give --truth MESH (in Python truth=)"
         )
     mesh, shaded = parts.shade_surface(scene)
     canvases = [_canvas(scene.corners, sheet) for _ in range(2)]
