@@ -69,7 +69,7 @@ def main(words: list[str]) -> scan3d.Live:
         rig.start()
         listen(live, receiver)
         rig.join()
-        print(f"{len(live.cloud)} contacts in {len(live.recording)} rows")
+        print(f"{len(live.cloud)} of {len(live.contacts)} contacts are left in the cloud of {len(live.recording)} rows")
         return live
 
 

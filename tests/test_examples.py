@@ -106,7 +106,8 @@ def test_live_contacts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
     live = example("live_contacts").main([])
     page, *lines, last = capsys.readouterr().out.splitlines()
     assert page.startswith("http://127.0.0.1:")
-    assert last == f"{len(live.cloud)} contacts in {len(live.recording)} rows"
+    said = f"{len(live.cloud)} of {len(live.contacts)} contacts are left in the cloud of {len(live.recording)} rows"
+    assert last == said
     assert len(lines) >= len(live.cloud) > 100
 
 
