@@ -103,7 +103,8 @@ function measures() {  // of the space beside panel and player, in CSS pixels; `
   const w = canvas.clientWidth, h = canvas.clientHeight, beside = w > narrow;
   const left = beside ? panel.offsetWidth + 20 : 0, top = beside ? 0 : panel.offsetTop + panel.offsetHeight;
   const bottom = dock.hidden ? 0 : dock.offsetHeight + 16;
-  const wide = Math.max(40, w - left), high = Math.max(40, h - top - bottom);
+  // the scale lies beside the body, or below it
+  const wide = Math.max(40, w - left), high = Math.max(40, h - top - bottom - (beside ? 0 : 2.5 * fontSize()));
   const unit = eye.zoom * 0.94 * Math.min(wide, high) / (2 * data.radius);
   const x = left + wide / 2 + eye.x, y = top + high / 2 - eye.y;
   const scale = [2 * unit / w, 2 * unit / h], shift = [2 * x / w - 1, 1 - 2 * y / h];
