@@ -148,6 +148,9 @@ def test_a_dead_channel_of_a_turned_sensor_is_named(right, channel, undiagnosed)
     codes = [[one.code for one in checked(part, cloud).contradictions] for part in (noisy, changed(noisy, dead))]
     assert "dead-channel" not in codes[0]
     assert "dead-channel" in codes[1]
+    # a log of one row over and over has no channel that varies
+    same = of_rows(noisy, np.repeat(cloud.row[:1], 30))
+    assert "dead-channel" not in remarks(same)
 
 
 @pytest.mark.parametrize("digits", [4, 6])

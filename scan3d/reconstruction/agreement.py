@@ -201,13 +201,13 @@ def _dead(recording: Recording) -> list[Contradiction]:
     wrench = np.hstack(recording.wrench())
     wrench = wrench[:, (wrench != wrench[0]).any(axis=0)]
     size = np.linalg.svd(wrench / np.sqrt((wrench**2).mean(axis=0)), compute_uv=False)
-    if len(wrench) < _FEWEST or size[-1] > _ZERO * size[0]:
+    if len(wrench) < _FEWEST or size.min(initial=np.inf) > _ZERO * size.max(initial=0.0):
         return []
     text = (
         "a sum of several channels, each with its factor, is zero in all rows to the last digit, though all of them have "
         "noise: a channel of the sensor, which stands turned or moved, is dead or was not measured"
     )
-    return [Contradiction("dead-channel", text, float(size[-1] / size[0]))]
+    return [Contradiction("dead-channel", text, float(size.min() / size.max()))]
 
 
 def _without_contact(fraction: float) -> list[Contradiction]:
